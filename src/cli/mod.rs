@@ -1,0 +1,45 @@
+//! The command line: a thin layer over the library, one file per sub-command.
+
+mod demo;
+mod evaluate;
+mod import;
+mod info;
+mod reconstruct;
+
+use crate::Result;
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+#[derive(Parser)]
+#[command(name = "lumenmesh", version, about, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Reconstruct(reconstruct::Arguments),
+    Evaluate(evaluate::Arguments),
+    Info(info::Arguments),
+    Import(import::Arguments),
+    Demo(demo::Arguments),
+}
+
+/// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong.
+pub fn main() -> ExitCode {
+    let done: Result<()> = match Arguments::parse().command {
+        Command::Reconstruct(arguments) => arguments.run(),
+        Command::Evaluate(arguments) => arguments.run(),
+        Command::Info(arguments) => arguments.run(),
+        Command::Import(arguments) => arguments.run(),
+        Command::Demo(arguments) => arguments.run(),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("lumenmesh: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! The one error type of the crate.
+
+use std::path::{Path, PathBuf};
+
+/// What can go wrong between a recording and a mesh.
+///
+/// Messages name the file, the frame, the field and both what was found and what was expected, as far as
+/// each is known where the error arises.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file or folder could not be read.
+    #[error("{}: cannot read: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A file could not be written. Nothing was left behind under its name.
+    #[error("{}: cannot write: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A file's content is not what its format or its use asks for.
+    #[error("{}: {}{field}: found {found}, expected {expected}", path.display(), frame_prefix(*frame))]
+    Input {
+        /// The file, or a name for data that came from memory.
+        path: PathBuf,
+        /// The frame (0-based), where one is to blame.
+        frame: Option<usize>,
+        /// The variable, column or quantity.
+        field: String,
+        /// What was there.
+        found: String,
+        /// What should have been there.
+        expected: String,
+    },
+    /// A file name's ending names no format that this operation knows.
+    #[error("{}: unknown ending {ending:?}, expected one of {expected}", path.display())]
+    UnknownEnding {
+        /// The file.
+        path: PathBuf,
+        /// Its ending, without the dot; empty where it has none.
+        ending: String,
+        /// The endings that would do.
+        expected: &'static str,
+    },
+    /// A setting is outside what makes sense.
+    #[error("setting {name}: found {found}, expected {expected}")]
+    Setting {
+        /// The setting's name, as in the TOML file.
+        name: &'static str,
+        /// Its value.
+        found: String,
+        /// What would do.
+        expected: String,
+    },
+    /// A frame of a recording in memory cannot be used.
+    #[error("frame {frame}: {field}: found {found}, expected {expected}")]
+    Frame {
+        /// The frame (0-based).
+        frame: usize,
+        /// The variable, column or quantity.
+        field: &'static str,
+        /// What was there.
+        found: String,
+        /// What should have been there.
+        expected: String,
+    },
+    /// A surface cannot be used for what was asked.
+    #[error("surface: {what}: found {found}, expected {expected}")]
+    Surface {
+        /// The quantity.
+        what: String,
+        /// What was there.
+        found: String,
+        /// What should have been there.
+        expected: String,
+    },
+}
+
+/// The crate's result.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+fn frame_prefix(frame: Option<usize>) -> String {
+    frame.map(|k| format!("frame {k}: ")).unwrap_or_default()
+}
+
+impl Error {
+    /// An [`Error::Input`] about a whole file or variable.
+    pub fn input(
+        path: &Path,
+        field: impl Into<String>,
+        found: impl ToString,
+        expected: impl ToString,
+    ) -> Self {
+        Error::Input {
+            path: path.to_owned(),
+            frame: None,
+            field: field.into(),
+            found: found.to_string(),
+            expected: expected.to_string(),
+        }
+    }
+
+    /// Says which file a frame's error came from: turns [`Error::Frame`] into [`Error::Input`] and leaves
+    /// every other error as it is.
+    #[must_use]
+    pub fn in_file(self, path: &Path) -> Self {
+        match self {
+            Error::Frame { frame, field, found, expected } => Error::Input {
+                path: path.to_owned(),
+                frame: Some(frame),
+                field: field.to_owned(),
+                found,
+                expected,
+            },
+            other => other,
+        }
+    }
+}

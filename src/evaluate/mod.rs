@@ -1,0 +1,1 @@
+//! How far a mesh is from the truth.

@@ -1,0 +1,21 @@
+//! From tracked intravascular ultrasound to a 3D lumen mesh.
+//!
+//! Data flows one way: [`recording`] → [`cylinder`] → [`fit`] → [`merge`] → [`surface`] → [`evaluate`].
+//! Lengths are millimetres, angles radians, times seconds; indices count from 0.
+
+#[cfg(feature = "cli")]
+pub mod cli;
+pub mod cylinder;
+mod error;
+pub mod evaluate;
+pub mod fit;
+pub mod geometry;
+pub mod merge;
+pub mod output;
+pub mod recording;
+pub mod settings;
+pub mod simulate;
+pub mod surface;
+pub mod tube;
+
+pub use error::{Error, Result};

@@ -1,0 +1,1 @@
+//! Merging cylinders into one vessel.

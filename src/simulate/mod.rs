@@ -1,0 +1,1 @@
+//! Vessels, catheters and probes that exist only here: recordings whose truth is known.
