@@ -1,1 +1,222 @@
-//! Settings.
+//! Every setting of a reconstruction: one home, with defaults, limits and a TOML form.
+
+use crate::geometry::Pose;
+use crate::{Error, Result};
+use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// How the wall is reconstructed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum Method {
+    /// The published method: local cylinders, stitched.
+    #[default]
+    Cylinders,
+}
+
+/// Which distances of a triangle count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Outliers {
+    /// Box plot: keep what lies within 1.5 interquartile ranges of the quartiles, bounds included.
+    #[default]
+    Iqr,
+    /// Keep what differs from the mean by at most 30 % of it (Kwon & Mun 2022).
+    Deviation,
+    /// Keep everything.
+    None,
+}
+
+/// What stands for the kept distances of a triangle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Statistic {
+    /// Their mean (published).
+    #[default]
+    Mean,
+    /// Their median.
+    Median,
+}
+
+/// `eTi`, the probe in the tracker sensor's frame: a constant of the catheter (thesis, Eq. 11).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// Origin of the probe in the sensor's frame, mm.
+    pub position_mm: [f64; 3],
+    /// Rotation from the probe's to the sensor's axes, unit quaternion (x, y, z, w).
+    pub quaternion: [f64; 4],
+}
+
+impl Default for Calibration {
+    fn default() -> Self {
+        Self { position_mm: [0.0; 3], quaternion: [0.0, 0.0, 0.0, 1.0] }
+    }
+}
+
+impl Calibration {
+    /// The transform `eTi`.
+    pub fn sensor_from_probe(&self) -> Pose {
+        if *self == Self::default() {
+            return Pose::IDENTITY;
+        }
+        let quaternion = DQuat::from_array(self.quaternion).normalize();
+        Pose::from_quaternion(DVec3::from_array(self.position_mm), quaternion)
+    }
+}
+
+/// The settings of a reconstruction. Defaults are the published ones (thesis, chapter 3).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// How the wall is reconstructed.
+    pub method: Method,
+    /// N: nodes a ring, at least 3.
+    pub nodes: u32,
+    /// L: levels of faces, at least 1; a tube has L + 1 rings.
+    pub levels: u32,
+    /// H: height of a tube, mm.
+    pub height_mm: f64,
+    /// Iterations of the fit.
+    pub iterations: u32,
+    /// Radial gate: points from `gate[0]` to `gate[1]` times the cylinder's radius count.
+    pub gate: [f64; 2],
+    /// Which distances of a triangle count.
+    pub outliers: Outliers,
+    /// What stands for the kept distances of a triangle.
+    pub statistic: Statistic,
+    /// Every how many frames a cylinder is fitted and merged.
+    pub every: u32,
+    /// `eTi`, the probe in the tracker sensor's frame.
+    pub calibration: Calibration,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            method: Method::Cylinders,
+            nodes: 12,
+            levels: 5,
+            height_mm: 10.0,
+            iterations: 3,
+            gate: [0.5, 1.5],
+            outliers: Outliers::Iqr,
+            statistic: Statistic::Mean,
+            every: 10,
+            calibration: Calibration::default(),
+        }
+    }
+}
+
+impl Settings {
+    /// Reads settings from a TOML file; what it does not name keeps its default.
+    ///
+    /// # Errors
+    /// Where the file cannot be read, is no TOML, names an unknown setting or fails [`Settings::validate`].
+    pub fn read_toml(path: &Path) -> Result<Self> {
+        let text =
+            std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        let settings: Self = toml::from_str(&text)
+            .map_err(|e| Error::input(path, "settings", e.to_string().trim_end(), "settings as TOML"))?;
+        settings.validate()?;
+        Ok(settings)
+    }
+
+    /// The settings as TOML, such that [`Settings::read_toml`] reads them back.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] where a value has no TOML form.
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string(self).map_err(|e| Error::Setting {
+            name: "settings",
+            found: e.to_string(),
+            expected: "values that TOML can hold".into(),
+        })
+    }
+
+    /// Checks every setting against its limits.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] with the first one that fails.
+    pub fn validate(&self) -> Result<()> {
+        // A triangle's index and a node's index are u32 on the device.
+        const MOST_FACES: u64 = 1 << 28;
+        let fail = |name, found: String, expected: &str| {
+            Err(Error::Setting { name, found, expected: expected.into() })
+        };
+        if self.nodes < 3 {
+            return fail("nodes", self.nodes.to_string(), "at least 3");
+        }
+        if self.levels < 1 {
+            return fail("levels", self.levels.to_string(), "at least 1");
+        }
+        if u64::from(self.nodes) * u64::from(self.levels) > MOST_FACES {
+            let faces = u64::from(self.nodes) * u64::from(self.levels);
+            return fail("nodes * levels", faces.to_string(), "at most 268435456 faces");
+        }
+        if !(self.height_mm.is_finite() && self.height_mm > 0.0) {
+            return fail("height_mm", self.height_mm.to_string(), "more than 0 mm");
+        }
+        let [low, high] = self.gate;
+        if !(low.is_finite() && high.is_finite() && 0.0 <= low && low < high) {
+            return fail("gate", format!("[{low}, {high}]"), "0 <= low < high, both finite");
+        }
+        if self.every < 1 {
+            return fail("every", self.every.to_string(), "at least 1");
+        }
+        let norm = DQuat::from_array(self.calibration.quaternion).length();
+        if !((norm - 1.0).abs() < 1e-3) {
+            return fail("calibration.quaternion", format!("norm {norm}"), "a unit quaternion (norm 1 ± 0.001)");
+        }
+        if !self.calibration.position_mm.iter().all(|x| x.is_finite()) {
+            return fail("calibration.position_mm", format!("{:?}", self.calibration.position_mm), "finite mm");
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_survive_toml() {
+        let settings = Settings {
+            nodes: 48,
+            statistic: Statistic::Median,
+            outliers: Outliers::Deviation,
+            gate: [0.0, 8.0],
+            ..Settings::default()
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("settings.toml");
+        std::fs::write(&path, settings.to_toml().unwrap()).unwrap();
+        assert_eq!(Settings::read_toml(&path).unwrap(), settings);
+        std::fs::write(&path, "nodes = 24\n").unwrap();
+        assert_eq!(Settings::read_toml(&path).unwrap(), Settings { nodes: 24, ..Settings::default() });
+        std::fs::write(&path, "node = 24\n").unwrap();
+        let message = Settings::read_toml(&path).unwrap_err().to_string();
+        assert!(message.contains("settings.toml") && message.contains("node"), "{message}");
+    }
+
+    #[test]
+    fn settings_outside_their_limits_are_named() {
+        let d = Settings::default;
+        for (settings, name) in [
+            (Settings { nodes: 2, ..d() }, "nodes"),
+            (Settings { levels: 0, ..d() }, "levels"),
+            (Settings { height_mm: -1.0, ..d() }, "height_mm"),
+            (Settings { height_mm: f64::NAN, ..d() }, "height_mm"),
+            (Settings { gate: [0.5, 0.5], ..d() }, "gate"),
+            (Settings { gate: [0.5, f64::INFINITY], ..d() }, "gate"),
+            (Settings { every: 0, ..d() }, "every"),
+            (Settings { nodes: u32::MAX, levels: u32::MAX, ..d() }, "nodes * levels"),
+        ] {
+            let message = settings.validate().unwrap_err().to_string();
+            assert!(message.starts_with(&format!("setting {name}: found ")), "{message}");
+        }
+        assert!(d().validate().is_ok());
+    }
+}

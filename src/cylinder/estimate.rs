@@ -13,6 +13,12 @@ pub trait CylinderEstimator {
 /// A simple estimate.
 #[derive(Debug, Clone, Default)]
 pub struct LocalEstimate;
+impl LocalEstimate {
+    /// New.
+    pub fn new(_sensor_from_probe: crate::geometry::Pose) -> Self {
+        Self
+    }
+}
 impl CylinderEstimator for LocalEstimate {
     fn push(&mut self, _frame: &Frame) -> Option<CylinderModel> {
         todo!()

@@ -1,1 +1,5 @@
-//! Merging cylinders into one vessel.
+//! Merging fitted cylinders into one vessel.
+
+mod stitch;
+
+pub use stitch::{Ring, Stitched};

@@ -1,0 +1,199 @@
+use super::passes::{Gate, Scalar, Section, TubeTransform, project};
+use crate::cylinder::CylinderEstimator;
+use crate::geometry::Pose;
+use crate::recording::{Frame, Recording};
+use crate::settings::Settings;
+use crate::{Error, Result};
+use glam::{DVec2, DVec3};
+use std::ops::Range;
+
+/// Frames placed in the world, in the order in which they came: what a fit draws its points from.
+///
+/// Appending a frame touches nothing that is already there, and a cylinder uses its own frame and earlier
+/// ones only, so a cylinder can be asked for while the catheter still moves.
+pub struct Track {
+    sensor_from_probe: Pose,
+    estimator: Box<dyn CylinderEstimator + Send + Sync>,
+    frames: Vec<PlacedFrame>,
+    echoes_mm: Vec<DVec2>,
+    missing: u64,
+}
+
+/// A frame in the world.
+#[derive(Debug, Clone)]
+struct PlacedFrame {
+    /// `wTi`.
+    world_from_probe: Pose,
+    cylinder: Option<PlacedCylinder>,
+    /// Its wall points in the track's store.
+    echoes: Range<usize>,
+    /// A circle in the probe's plane that holds all its points, as a sphere in the world.
+    centre_in_probe_mm: DVec3,
+    reach_mm: f64,
+}
+
+/// The local cylinder of a frame, in the world.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlacedCylinder {
+    /// `wTcyl`; the long axis is x.
+    pub world_from_cylinder: Pose,
+    /// Radius of the primitive, mm.
+    pub radius_mm: f64,
+    /// Whether the cylinder was estimated because the recording has none.
+    pub estimated: bool,
+}
+
+impl Track {
+    /// An empty track. Frames without a cylinder model get theirs from `estimator`.
+    pub fn new(sensor_from_probe: Pose, estimator: Box<dyn CylinderEstimator + Send + Sync>) -> Self {
+        Self { sensor_from_probe, estimator, frames: Vec::new(), echoes_mm: Vec::new(), missing: 0 }
+    }
+
+    /// A track of a whole recording, with the simple local estimate for frames without a cylinder.
+    ///
+    /// # Errors
+    /// As [`Track::push`].
+    pub fn of(recording: &Recording, settings: &Settings) -> Result<Self> {
+        let sensor_from_probe = settings.calibration.sensor_from_probe();
+        let estimator = crate::cylinder::LocalEstimate::new(sensor_from_probe);
+        let mut track = Self::new(sensor_from_probe, Box::new(estimator));
+        recording.frames.iter().try_for_each(|frame| track.push(frame))?;
+        Ok(track)
+    }
+
+    /// Appends a frame.
+    ///
+    /// # Errors
+    /// [`Error::Frame`] where [`Frame::check`] refuses it; the track is then as before.
+    pub fn push(&mut self, frame: &Frame) -> Result<()> {
+        frame.check(self.frames.len())?;
+        let first = self.echoes_mm.len();
+        self.echoes_mm.extend(frame.echoes_mm());
+        self.missing += frame.missing_echoes() as u64;
+        let echoes = &self.echoes_mm[first..];
+        let (low, high) = echoes
+            .iter()
+            .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+        let centre = if echoes.is_empty() { DVec2::ZERO } else { (low + high) / 2.0 };
+        let reach_mm = echoes.iter().fold(0.0_f64, |reach, p| reach.max(p.distance(centre)));
+
+        let estimate = match frame.cylinder {
+            Some(_) => None,
+            None => self.estimator.push(frame),
+        };
+        let cylinder = frame.cylinder.or(estimate).map(|model| PlacedCylinder {
+            world_from_cylinder: frame.world_from_sensor * model.sensor_from_cylinder(),
+            radius_mm: model.radius_mm,
+            estimated: frame.cylinder.is_none(),
+        });
+        self.frames.push(PlacedFrame {
+            world_from_probe: frame.world_from_sensor * self.sensor_from_probe,
+            cylinder,
+            echoes: first..self.echoes_mm.len(),
+            centre_in_probe_mm: centre.extend(0.0),
+            reach_mm,
+        });
+        Ok(())
+    }
+
+    /// Number of frames.
+    pub fn len(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// Whether there is no frame.
+    pub fn is_empty(&self) -> bool {
+        self.frames.is_empty()
+    }
+
+    /// Number of wall points in all frames.
+    pub fn echo_count(&self) -> usize {
+        self.echoes_mm.len()
+    }
+
+    /// Number of rays without an echo in all frames.
+    pub fn missing_count(&self) -> u64 {
+        self.missing
+    }
+
+    /// Number of frames whose cylinder was estimated.
+    pub fn estimated_count(&self) -> usize {
+        self.frames.iter().filter(|f| f.cylinder.is_some_and(|c| c.estimated)).count()
+    }
+
+    /// The local cylinder of a frame.
+    ///
+    /// # Errors
+    /// [`Error::Frame`] where the track has no such frame, or where the frame shows no wall that a cylinder
+    /// could be estimated from.
+    pub fn cylinder(&self, frame: usize) -> Result<PlacedCylinder> {
+        let fail = |field, found: &str, expected: String| {
+            Err(Error::Frame { frame, field, found: found.into(), expected })
+        };
+        match self.frames.get(frame) {
+            None => fail("frame", "no such frame", format!("less than {}", self.frames.len())),
+            Some(PlacedFrame { cylinder: None, echoes, .. }) => fail(
+                "cylinder",
+                &format!("no model and {} wall points", echoes.len()),
+                "a cylinder model or at least 3 wall points".into(),
+            ),
+            Some(PlacedFrame { cylinder: Some(cylinder), .. }) => Ok(*cylinder),
+        }
+    }
+
+    /// The wall points of frames 0..=`frame` that can lie in the section of `frame`'s cylinder: for each frame
+    /// that comes near enough, its points in the probe's plane and `cylTi`.
+    ///
+    /// A frame is left out only where no point of its bounding circle can pass the gate.
+    ///
+    /// # Errors
+    /// As [`Track::cylinder`].
+    pub fn near(&self, frame: usize, settings: &Settings) -> Result<impl Iterator<Item = (&[DVec2], Pose)>> {
+        let cylinder = self.cylinder(frame)?;
+        let cylinder_from_world = cylinder.world_from_cylinder.inverse();
+        let half_height = settings.height_mm / 2.0;
+        let greatest_radius = settings.gate[1] * cylinder.radius_mm;
+        Ok(self.frames[..=frame].iter().filter_map(move |placed| {
+            if placed.echoes.is_empty() {
+                return None;
+            }
+            let cylinder_from_probe = cylinder_from_world * placed.world_from_probe;
+            let centre = cylinder_from_probe.transform_point(placed.centre_in_probe_mm);
+            // How far the circle stretches along the axis and across it. A hair more than that, so that
+            // rounding cannot leave out a point on the gate.
+            let tilt = &cylinder_from_probe.rotation;
+            let slack = 1e-6 * (1.0 + placed.reach_mm);
+            let along = placed.reach_mm * tilt.x_axis.x.hypot(tilt.y_axis.x) + slack;
+            let across = placed.reach_mm + slack;
+            let near = centre.x.abs() <= half_height + along
+                && centre.y.hypot(centre.z) <= greatest_radius + across;
+            near.then(|| (&self.echoes_mm[placed.echoes.clone()], cylinder_from_probe))
+        }))
+    }
+
+    /// The points of a frame's section in tube coordinates (method, section 3).
+    ///
+    /// # Errors
+    /// As [`Track::cylinder`], and where no point at all lies in the section.
+    pub fn section<T: Scalar>(&self, frame: usize, settings: &Settings) -> Result<Section<T>> {
+        let radius_mm = self.cylinder(frame)?.radius_mm;
+        let gate = Gate::new(settings, radius_mm);
+        let mut section = Section::default();
+        for (points, cylinder_from_probe) in self.near(frame, settings)? {
+            project(points, &TubeTransform::new(&cylinder_from_probe), &gate, &mut section);
+        }
+        if section.is_empty() {
+            let [low, high] = settings.gate.map(|g| g * radius_mm);
+            return Err(Error::Frame {
+                frame,
+                field: "section",
+                found: format!("0 points ({} outside the radial gate)", section.gated),
+                expected: format!(
+                    "at least 1 within {} mm of height and a radius of {low:.2} to {high:.2} mm",
+                    settings.height_mm
+                ),
+            });
+        }
+        Ok(section)
+    }
+}
