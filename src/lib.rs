@@ -12,6 +12,7 @@ pub mod fit;
 pub mod geometry;
 pub mod merge;
 pub mod output;
+pub mod reconstruction;
 pub mod recording;
 pub mod settings;
 pub mod simulate;

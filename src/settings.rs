@@ -9,6 +9,7 @@ use std::path::Path;
 /// How the wall is reconstructed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[non_exhaustive]
 pub enum Method {
     /// The published method: local cylinders, stitched.
@@ -16,9 +17,25 @@ pub enum Method {
     Cylinders,
 }
 
+/// Where the fit is computed, and in which precision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[non_exhaustive]
+pub enum Backend {
+    /// What is fastest for the work at hand.
+    #[default]
+    Auto,
+    /// On the CPU in f32.
+    Cpu,
+    /// On the CPU in f64: slower, the yardstick of the others.
+    Reference,
+}
+
 /// Which distances of a triangle count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Outliers {
     /// Box plot: keep what lies within 1.5 interquartile ranges of the quartiles, bounds included.
     #[default]
@@ -32,6 +49,7 @@ pub enum Outliers {
 /// What stands for the kept distances of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Statistic {
     /// Their mean (published).
     #[default]
@@ -73,6 +91,8 @@ impl Calibration {
 pub struct Settings {
     /// How the wall is reconstructed.
     pub method: Method,
+    /// Where it is computed.
+    pub backend: Backend,
     /// N: nodes a ring, at least 3.
     pub nodes: u32,
     /// L: levels of faces, at least 1; a tube has L + 1 rings.
@@ -97,6 +117,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             method: Method::Cylinders,
+            backend: Backend::Auto,
             nodes: 12,
             levels: 5,
             height_mm: 10.0,
@@ -168,10 +189,18 @@ impl Settings {
         }
         let norm = DQuat::from_array(self.calibration.quaternion).length();
         if !((norm - 1.0).abs() < 1e-3) {
-            return fail("calibration.quaternion", format!("norm {norm}"), "a unit quaternion (norm 1 ± 0.001)");
+            return fail(
+                "calibration.quaternion",
+                format!("norm {norm}"),
+                "a unit quaternion (norm 1 ± 0.001)",
+            );
         }
         if !self.calibration.position_mm.iter().all(|x| x.is_finite()) {
-            return fail("calibration.position_mm", format!("{:?}", self.calibration.position_mm), "finite mm");
+            return fail(
+                "calibration.position_mm",
+                format!("{:?}", self.calibration.position_mm),
+                "finite mm",
+            );
         }
         Ok(())
     }

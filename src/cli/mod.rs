@@ -4,9 +4,11 @@ mod demo;
 mod evaluate;
 mod import;
 mod info;
+mod progress;
 mod reconstruct;
+mod settings;
 
-use crate::Result;
+use crate::{Error, Result};
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 
@@ -42,4 +44,13 @@ pub fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Prints a value as JSON on stdout.
+fn print_json(value: &impl serde::Serialize) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    serde_json::to_writer_pretty(&mut out, value)
+        .map_err(std::io::Error::from)
+        .and_then(|()| std::io::Write::write_all(&mut out, b"\n"))
+        .map_err(|source| Error::Write { path: "stdout".into(), source })
 }

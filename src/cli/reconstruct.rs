@@ -1,11 +1,100 @@
+use super::settings::SettingsArguments;
+use super::{print_json, progress};
 use crate::Result;
+use crate::fit::{engine, merged_frames};
+use crate::reconstruction::{Reconstruction, Report, write_cylinders};
+use crate::recording::Recording;
+use crate::surface;
+use serde::Serialize;
+use std::path::PathBuf;
 
 /// Turn a recording into a lumen mesh
 #[derive(clap::Args)]
-pub(super) struct Arguments {}
+#[command(after_help = "Examples:
+  lumenmesh reconstruct pullback.mat -o vessel.vtp
+  lumenmesh reconstruct recording/ -o vessel.ply --nodes 24 --levels 8 --statistic median
+  lumenmesh reconstruct pullback.mat -o vessel.stl --config settings.toml --json > report.json
+  lumenmesh reconstruct pullback.mat -o vessel.vtp --backend reference --cylinders cylinders.csv")]
+pub(super) struct Arguments {
+    /// Recording: a MATLAB .mat file (v5, v7) or a folder of CSV files
+    #[arg(value_name = "REC")]
+    recording: PathBuf,
+    /// Mesh to write: .vtp, .ply, .stl or .obj
+    #[arg(short, long, value_name = "MESH")]
+    output: PathBuf,
+    /// Also write every deformed cylinder, iteration by iteration, as CSV
+    #[arg(long, value_name = "CSV")]
+    cylinders: Option<PathBuf>,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    settings: SettingsArguments,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Output<'a> {
+    recording: &'a PathBuf,
+    mesh: &'a PathBuf,
+    settings: &'a crate::settings::Settings,
+    #[serde(flatten)]
+    report: &'a Report,
+}
 
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
+        let settings = self.settings.settings()?;
+        surface::check_ending(&self.output)?;
+        let recording = Recording::read(&self.recording)?;
+        let engine = engine(settings.backend);
+        let bar = progress::bar("fitting cylinders", merged_frames(recording.frames.len(), &settings).len());
+        let done = Reconstruction::new(&recording, &settings, &*engine, self.cylinders.is_some(), &|n| {
+            bar.inc(n as u64);
+        });
+        bar.finish_and_clear();
+        let reconstruction = done.map_err(|e| e.in_file(&self.recording))?;
+        if let Some(path) = &self.cylinders {
+            write_cylinders(&reconstruction.cylinders, path)?;
+        }
+        reconstruction.vessel.surface().write(&self.output)?;
+
+        let report = &reconstruction.report;
+        if self.json {
+            let output =
+                Output { recording: &self.recording, mesh: &self.output, settings: &settings, report };
+            return print_json(&output);
+        }
+        print_report(report);
+        println!("mesh       {}", self.output.display());
+        if let Some(path) = &self.cylinders {
+            println!("cylinders  {}", path.display());
+        }
         Ok(())
     }
+}
+
+/// The report for people.
+pub(super) fn print_report(report: &Report) {
+    let Report { points, seconds, .. } = report;
+    println!("engine     {} on {} threads", report.engine, report.threads);
+    print!("frames     {}, {} cylinders fitted", report.frames, report.cylinders);
+    match report.estimated_cylinders {
+        0 => println!(),
+        n => println!(", {n} cylinder models estimated (the recording has none)"),
+    }
+    println!("echoes     {} recorded, {} missing", points.recorded, points.missing);
+    println!(
+        "fitted to  {} points, {} rejected as outliers, {} outside the gate (summed over the cylinders)",
+        points.used, points.rejected, points.gated
+    );
+    let travel: Vec<String> = report.mean_travel_mm.iter().map(|t| format!("{t:.3}")).collect();
+    println!("travel     {} mm (mean |travel| of a node, iteration by iteration)", travel.join(", "));
+    println!("vessel     {} rings, {} nodes, {} triangles", report.rings, report.nodes, report.triangles);
+    println!(
+        "time       {:.1} ms placing frames, {:.1} ms fitting, {:.1} ms merging",
+        seconds.track * 1e3,
+        seconds.fit * 1e3,
+        seconds.merge * 1e3
+    );
 }

@@ -42,7 +42,12 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             .collect()
     }
 
-    fn fit_section(&self, section: &Section<f32>, radius_mm: f64, settings: &Settings) -> Result<DeformedTube> {
+    fn fit_section(
+        &self,
+        section: &Section<f32>,
+        radius_mm: f64,
+        settings: &Settings,
+    ) -> Result<DeformedTube> {
         settings.validate()?;
         let convert = |values: &[f32]| values.iter().map(|&x| T::from_f64(x.to_f64())).collect();
         let section = Section {
@@ -56,7 +61,12 @@ impl<T: Scalar> Engine for CpuEngine<T> {
 }
 
 /// The whole fit of one tube (method, section 4).
-fn deform<T: Scalar>(section: &Section<T>, radius_mm: f64, settings: &Settings, history: bool) -> DeformedTube {
+fn deform<T: Scalar>(
+    section: &Section<T>,
+    radius_mm: f64,
+    settings: &Settings,
+    history: bool,
+) -> DeformedTube {
     let tube = Tube::new(settings);
     let groups = group(section, &tube);
     let filter = Filter::<T>::new(settings, radius_mm);

@@ -12,7 +12,7 @@ pub use track::{PlacedCylinder, Track};
 
 use crate::Result;
 use crate::geometry::Pose;
-use crate::settings::Settings;
+use crate::settings::{Backend, Settings};
 use crate::tube::Tube;
 use glam::DVec3;
 use passes::Section;
@@ -45,6 +45,14 @@ pub fn merged_frames(frame_count: usize, settings: &Settings) -> Vec<usize> {
     (every - 1..frame_count).step_by(every).collect()
 }
 
+/// The engine that a setting asks for.
+pub fn engine(backend: Backend) -> Box<dyn Engine> {
+    match backend {
+        Backend::Auto | Backend::Cpu => Box::new(CpuEngine::<f32>::new()),
+        Backend::Reference => Box::new(CpuEngine::<f64>::new()),
+    }
+}
+
 /// Something that fits cylinders.
 pub trait Engine: Send + Sync {
     /// Its name, as on the command line.
@@ -60,7 +68,12 @@ pub trait Engine: Send + Sync {
     ///
     /// # Errors
     /// Where the engine itself fails.
-    fn fit_section(&self, section: &Section<f32>, radius_mm: f64, settings: &Settings) -> Result<DeformedTube>;
+    fn fit_section(
+        &self,
+        section: &Section<f32>,
+        radius_mm: f64,
+        settings: &Settings,
+    ) -> Result<DeformedTube>;
 }
 
 /// A tube after its fit.

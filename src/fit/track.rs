@@ -165,8 +165,8 @@ impl Track {
             let slack = 1e-6 * (1.0 + placed.reach_mm);
             let along = placed.reach_mm * tilt.x_axis.x.hypot(tilt.y_axis.x) + slack;
             let across = placed.reach_mm + slack;
-            let near = centre.x.abs() <= half_height + along
-                && centre.y.hypot(centre.z) <= greatest_radius + across;
+            let near =
+                centre.x.abs() <= half_height + along && centre.y.hypot(centre.z) <= greatest_radius + across;
             near.then(|| (&self.echoes_mm[placed.echoes.clone()], cylinder_from_probe))
         }))
     }

@@ -67,7 +67,11 @@ const FEW: usize = 24;
 /// The statistic of a triangle's signed distances. `keys` is room to work in; the result does not depend on
 /// the order of the distances, because order statistics do not and the sums are exact.
 #[inline(always)]
-pub fn filter<T: Scalar>(distances: &[T], filter: &Filter<T>, keys: &mut Vec<T::Key>) -> TriangleStatistic<T> {
+pub fn filter<T: Scalar>(
+    distances: &[T],
+    filter: &Filter<T>,
+    keys: &mut Vec<T::Key>,
+) -> TriangleStatistic<T> {
     let n = distances.len();
     match n {
         0 => return TriangleStatistic::default(),
