@@ -2,9 +2,12 @@
 
 mod csv;
 mod mat;
+mod mat5;
+mod table;
 
 use crate::cylinder::CylinderModel;
 use crate::geometry::Pose;
+use crate::output::ending;
 use crate::{Error, Result};
 use glam::DVec2;
 use std::path::Path;
@@ -44,24 +47,46 @@ pub struct Recording {
 impl Recording {
     /// Reads a recording: a MATLAB `.mat` file (v5, v7) or a folder of CSV files.
     ///
+    /// A `.mat` file holds `rotm` (3×3×F, the sensor's rotation in the world), `Ep` (F×3, its position, mm),
+    /// `x_data` and `y_data` (F×M, contours, mm, NaN where there is no echo) and optionally `cyl_px`, `cyl_py`,
+    /// `theta`, `phi`, `rad` and `time_s` (F×1 each). A folder holds `poses.csv`
+    /// (`frame,time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw`), `contours.csv` (`frame,x_mm,y_mm`) and optionally
+    /// `cylinders.csv` (`frame,px_mm,py_mm,theta_rad,phi_rad,radius_mm`). Frames are renumbered from 0.
+    ///
     /// # Errors
     /// Where a file cannot be read, lacks a variable, or holds a frame that fails [`Recording::check`].
     pub fn read(path: &Path) -> Result<Self> {
-        let recording = if path.is_dir() { csv::read(path)? } else { mat::read_by_ending(path)? };
+        let recording = Self::read_unchecked(path)?;
         recording.check().map_err(|e| e.in_file(path))?;
         Ok(recording)
     }
 
-    /// Writes a recording: `.mat` by that ending, else a folder of CSV files.
+    /// Reads a recording as [`Recording::read`] does, but leaves frames in it that no reconstruction can use:
+    /// a way to look at what is wrong with them.
     ///
     /// # Errors
-    /// Where the file or folder cannot be written; no partial file is left behind.
-    pub fn write(&self, path: &Path) -> Result<()> {
-        if crate::output::ending(path) == "mat" { mat::write(self, path) } else { csv::write(self, path) }
+    /// Where a file cannot be read, lacks a variable or has one of a wrong shape.
+    pub fn read_unchecked(path: &Path) -> Result<Self> {
+        if path.is_dir() { csv::read(path) } else { mat::read_by_ending(path) }
     }
 
-    /// Refuses what no reconstruction can use: no frames, a pose that is not finite or no rotation, a contour
-    /// point that is half there, a cylinder that is not finite or has no positive radius.
+    /// Writes a recording: `.mat` by that ending, else (no ending, or a folder that is there) a folder of CSV
+    /// files. Both read back equal, but that CSV files hold rotations as quaternions (equal to 1e-12).
+    ///
+    /// # Errors
+    /// Where the recording fails [`Recording::check`], the ending is another one, or the file or folder cannot
+    /// be written; no partial file is left behind.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        self.check().map_err(|e| e.in_file(path))?;
+        match ending(path).as_str() {
+            _ if path.is_dir() => csv::write(self, path),
+            "mat" => mat::write(self, path),
+            "" => csv::write(self, path),
+            _ => Err(unknown_ending(path)),
+        }
+    }
+
+    /// Refuses what no reconstruction can use: no frames, or a frame with [defects](Frame::defects).
     ///
     /// # Errors
     /// [`Error::Frame`] with the first frame to blame.
@@ -78,56 +103,100 @@ impl Recording {
     }
 }
 
+/// Why a frame cannot be used.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Defect {
+    /// The quantity.
+    pub field: &'static str,
+    /// What was there.
+    pub found: String,
+    /// What should have been there.
+    pub expected: &'static str,
+}
+
 impl Frame {
     /// See [`Recording::check`]; `index` is the frame's number for the message.
     ///
     /// # Errors
-    /// [`Error::Frame`].
+    /// [`Error::Frame`] with the first defect.
     pub fn check(&self, index: usize) -> Result<()> {
-        let fail = |field, found: String, expected: &str| {
-            Err(Error::Frame { frame: index, field, found, expected: expected.into() })
-        };
-        let pose = &self.world_from_sensor;
-        if !pose.translation_mm.is_finite() {
-            return fail("position", format!("{}", pose.translation_mm), "three finite numbers in mm");
-        }
-        if !pose.rotation.is_finite() {
-            return fail("rotation", "a number that is not finite".into(), "nine finite numbers");
-        }
-        let determinant = pose.rotation.determinant();
-        if determinant <= 0.0 {
-            return fail("rotation", format!("determinant {determinant:.3}"), "1 (right-handed axes)");
-        }
-        let error = pose.orthogonality_error();
-        if error > 1e-3 {
-            return fail(
-                "rotation",
-                format!("|RᵀR - I| = {error:.3e}"),
-                "at most 1e-3 (orthogonal unit axes)",
-            );
-        }
-        if let Some(t) = self.time_s
-            && !t.is_finite()
-        {
-            return fail("time", t.to_string(), "a finite number of seconds");
-        }
-        for (i, p) in self.contour_mm.iter().enumerate() {
-            if p.x.is_nan() != p.y.is_nan() || p.x.is_infinite() || p.y.is_infinite() {
-                return fail(
-                    "contour",
-                    format!("({}, {}) at point {i}", p.x, p.y),
-                    "two finite numbers in mm, or NaN in both for a missing echo",
-                );
+        match self.defects().into_iter().next() {
+            None => Ok(()),
+            Some(Defect { field, found, expected }) => {
+                Err(Error::Frame { frame: index, field, found, expected: expected.into() })
             }
+        }
+    }
+
+    /// What makes the frame useless, at most one defect per quantity: a pose that is not finite or no rotation, a
+    /// time that is not finite, a contour point that is half there, a cylinder that is not finite or has no
+    /// positive radius.
+    pub fn defects(&self) -> Vec<Defect> {
+        let position = self.world_from_sensor.translation_mm;
+        let mut defects = Vec::new();
+        let mut add = |field, found, expected| defects.push(Defect { field, found, expected });
+        if !position.is_finite() {
+            add("position", position.to_string(), "three finite numbers in mm");
+        }
+        if let Some((found, expected)) = self.rotation_defect() {
+            add("rotation", found, expected);
+        }
+        if let Some(t) = self.time_s.filter(|t| !t.is_finite()) {
+            add("time", t.to_string(), "a finite number of seconds");
+        }
+        let half_there = |p: &DVec2| p.x.is_nan() != p.y.is_nan() || p.x.is_infinite() || p.y.is_infinite();
+        if let Some(i) = self.contour_mm.iter().position(half_there) {
+            let p = self.contour_mm[i];
+            let expected = "two finite numbers in mm, or NaN in both for a missing echo";
+            add("contour", format!("({}, {}) at point {i}", p.x, p.y), expected);
         }
         if let Some(c) = &self.cylinder {
             if !c.is_finite() {
-                return fail("cylinder", format!("{c:?}"), "five finite numbers");
-            }
-            if c.radius_mm <= 0.0 {
-                return fail("cylinder radius", format!("{} mm", c.radius_mm), "more than 0 mm");
+                add("cylinder", format!("{c:?}"), "five finite numbers");
+            } else if c.radius_mm <= 0.0 {
+                add("cylinder radius", format!("{} mm", c.radius_mm), "more than 0 mm");
             }
         }
-        Ok(())
+        defects
+    }
+
+    fn rotation_defect(&self) -> Option<(String, &'static str)> {
+        let rotation = &self.world_from_sensor.rotation;
+        if !rotation.is_finite() {
+            return Some(("a number that is not finite".into(), "nine finite numbers"));
+        }
+        let determinant = rotation.determinant();
+        if determinant < 0.0 {
+            return Some((format!("determinant {determinant:.3}"), "1 (right-handed axes)"));
+        }
+        let error = self.world_from_sensor.orthogonality_error();
+        if error <= ROTATION_TOLERANCE {
+            return None;
+        }
+        // Axes of one length that are square to each other are what a quaternion gives that is not unit.
+        let length = rotation.x_axis.length();
+        let scaled = Pose { rotation: *rotation * length.recip(), ..self.world_from_sensor };
+        if length == 0.0 {
+            Some(("a first axis of length 0".into(), "unit axes (a unit quaternion)"))
+        } else if scaled.orthogonality_error() <= ROTATION_TOLERANCE {
+            let norm = length.sqrt();
+            Some((
+                format!("axes of length {length:.4} (a quaternion of norm {norm:.4})"),
+                "unit axes (a unit quaternion)",
+            ))
+        } else {
+            Some((format!("|RᵀR - I| = {error:.3e}"), "at most 1e-3 (orthogonal unit axes)"))
+        }
+    }
+}
+
+/// Largest element of |RᵀR − I| that rounding in a tracker's output explains.
+const ROTATION_TOLERANCE: f64 = 1e-3;
+
+fn unknown_ending(path: &Path) -> Error {
+    Error::UnknownEnding {
+        path: path.to_owned(),
+        ending: ending(path),
+        expected: "mat, or none for a folder of CSV files",
     }
 }

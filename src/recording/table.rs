@@ -1,0 +1,195 @@
+//! Delimited text as spreadsheets and scripts write it.
+
+use crate::{Error, Result};
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+/// Rows of numbers separated by tabs, semicolons or commas, with or without a line of column names.
+///
+/// Lines end in LF or CRLF; a byte order mark is skipped. Where the comma does not separate, it may stand for
+/// the decimal point.
+pub(super) struct Table {
+    path: PathBuf,
+    header: Vec<String>,
+    /// The first line, where it holds numbers.
+    first: Option<Row>,
+    records: csv::StringRecordsIntoIter<Cursor<Vec<u8>>>,
+    decimal_comma: bool,
+}
+
+/// One line of a table.
+pub(super) struct Row {
+    /// Where the reader stood before it: blank lines and half a line end may lie between.
+    offset: u64,
+    fields: csv::StringRecord,
+}
+
+/// A column: where it is and what messages call it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Column {
+    pub index: usize,
+    pub name: &'static str,
+}
+
+impl Table {
+    pub fn open(path: &Path) -> Result<Self> {
+        let mut bytes =
+            std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+        if bytes.starts_with(b"\xef\xbb\xbf") {
+            bytes.drain(..3);
+        }
+        let line = bytes.split(|&b| b == b'\n').find(|l| !l.trim_ascii().is_empty()).unwrap_or_default();
+        let delimiter = [b'\t', b';'].into_iter().find(|d| line.contains(d)).unwrap_or(b',');
+        let records = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .trim(csv::Trim::All)
+            .delimiter(delimiter)
+            .from_reader(Cursor::new(bytes))
+            .into_records();
+        let (path, decimal_comma) = (path.to_owned(), delimiter != b',');
+        let mut table = Self { path, header: Vec::new(), first: None, records, decimal_comma };
+        table.first = table.next_row()?;
+        if let Some(row) = &table.first
+            && row.fields.iter().any(|f| !f.is_empty() && table.parse(f).is_none())
+        {
+            table.header = row.fields.iter().map(str::to_ascii_lowercase).collect();
+            table.first = None;
+        }
+        Ok(table)
+    }
+
+    pub fn has_header(&self) -> bool {
+        !self.header.is_empty()
+    }
+
+    /// Columns in the first line of a table without names.
+    pub fn first_width(&self) -> usize {
+        self.first.as_ref().map_or(0, |row| row.fields.len())
+    }
+
+    /// The column of that name.
+    pub fn column(&self, name: &'static str) -> Result<Column> {
+        self.optional_column(name)?.ok_or_else(|| {
+            let found = match self.header.len() {
+                0 => "no line of column names".into(),
+                _ => format!("columns {}", self.header.join(", ")),
+            };
+            Error::input(&self.path, name, found, format!("a column {name}"))
+        })
+    }
+
+    pub fn optional_column(&self, name: &'static str) -> Result<Option<Column>> {
+        let mut columns = self.header.iter().enumerate().filter(|(_, n)| n.as_str() == name);
+        let column = columns.next().map(|(index, _)| Column { index, name });
+        match columns.next() {
+            Some(_) => Err(Error::input(&self.path, name, "two columns of that name", "one")),
+            None => Ok(column),
+        }
+    }
+
+    pub fn next_row(&mut self) -> Result<Option<Row>> {
+        if let Some(row) = self.first.take() {
+            return Ok(Some(row));
+        }
+        match self.records.next().transpose() {
+            Ok(record) => Ok(record.map(|fields| {
+                let offset = fields.position().map_or(0, csv::Position::byte);
+                Row { offset, fields }
+            })),
+            Err(e) => Err(Error::input(&self.path, "text", e, "lines of UTF-8 text")),
+        }
+    }
+
+    /// The number in a column; `None` where the field is empty.
+    pub fn optional_number(&self, row: &Row, column: Column) -> Result<Option<f64>> {
+        match row.fields.get(column.index) {
+            Some("") => Ok(None),
+            Some(field) => match self.parse(field) {
+                Some(number) => Ok(Some(number)),
+                None => Err(self.fault(row, column, format!("{field:?}"), "a number")),
+            },
+            None => {
+                let found = format!("a line of {} fields", row.fields.len());
+                Err(self.fault(row, column, found, format!("at least {}", column.index + 1)))
+            }
+        }
+    }
+
+    pub fn number(&self, row: &Row, column: Column) -> Result<f64> {
+        self.optional_number(row, column)?.ok_or_else(|| self.fault(row, column, "nothing", "a number"))
+    }
+
+    /// A number that counts: whole and not negative.
+    pub fn count(&self, row: &Row, column: Column) -> Result<u64> {
+        let number = self.number(row, column)?;
+        if number.fract() == 0.0 && (0.0..9e15).contains(&number) {
+            return Ok(number as u64);
+        }
+        Err(self.fault(row, column, number, "a whole number from 0"))
+    }
+
+    /// An error that names the line.
+    pub fn fault(&self, row: &Row, column: Column, found: impl ToString, expected: impl ToString) -> Error {
+        let bytes = self.records.reader().get_ref().get_ref();
+        let (before, after) = bytes.split_at(bytes.len().min(row.offset as usize));
+        let blank = after.iter().take_while(|&&b| b == b'\r' || b == b'\n').count();
+        let ends = before.iter().chain(&after[..blank]).filter(|&&b| b == b'\n').count();
+        Error::input(&self.path, format!("line {}: {}", ends + 1, column.name), found, expected)
+    }
+
+    fn parse(&self, field: &str) -> Option<f64> {
+        match field.parse() {
+            Ok(number) => Some(number),
+            Err(_) if self.decimal_comma && !field.contains('.') => field.replacen(',', ".", 1).parse().ok(),
+            Err(_) => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(text: &str) -> Table {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        Table::open(file.path()).unwrap()
+    }
+
+    fn numbers(text: &str) -> Vec<Option<f64>> {
+        let mut table = table(text);
+        let row = table.next_row().unwrap().unwrap();
+        let width = row.fields.len();
+        (0..width).map(|index| table.optional_number(&row, Column { index, name: "n" }).unwrap()).collect()
+    }
+
+    #[test]
+    fn every_separator_and_line_end_reads_the_same() {
+        let expected = vec![Some(1.0), Some(-2.5), None, Some(3e-4)];
+        for text in [
+            "a,b,c,d\n1,-2.5,,3e-4\n",
+            "a;b;c;d\r\n1;-2,5;;3e-4\r\n",
+            "\u{feff}a\tb\tc\td\r\n1\t-2.5\t\t3e-4",
+            "a ; b ; c ; d\n\"1\" ; -2,5 ; ; 0,0003\n",
+            "1,-2.5,,3e-4\n",
+        ] {
+            assert_eq!(numbers(text), expected, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn a_comma_that_separates_is_no_decimal_point() {
+        assert_eq!(numbers("1,5\n"), vec![Some(1.0), Some(5.0)]);
+    }
+
+    #[test]
+    fn messages_count_lines_from_the_files_start() {
+        let mut table = table("a,b\r\n1,2\r\n\r\n3,x\r\n");
+        let b = table.column("b").unwrap();
+        table.next_row().unwrap();
+        let row = table.next_row().unwrap().unwrap();
+        let message = table.number(&row, b).unwrap_err().to_string();
+        assert!(message.ends_with("line 4: b: found \"x\", expected a number"), "{message}");
+    }
+}

@@ -1,0 +1,415 @@
+//! Recordings come back from their files as they were, and bad files say what is wrong with them.
+
+mod support;
+
+use glam::{DQuat, DVec2, DVec3};
+use lumenmesh::cylinder::CylinderModel;
+use lumenmesh::geometry::Pose;
+use lumenmesh::recording::{Frame, Recording};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::path::Path;
+use support::{octave, shared};
+
+/// Frames with ragged contours, missing echoes, and times and cylinders on some of them.
+fn some_recording(seed: u64) -> Recording {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let (frames, rays) = (random.random_range(1..30), random.random_range(0..40));
+    let (ragged, timed, modelled) =
+        (random.random_bool(0.5), random.random_bool(0.5), random.random_bool(0.5));
+    let frame = |_| {
+        let mut number = |scale: f64| random.random_range(-scale..scale);
+        let quaternion = DQuat::from_xyzw(number(1.0), number(1.0), number(1.0), number(1.0)).normalize();
+        let position = DVec3::new(number(500.0), number(500.0), number(1e-7));
+        let model = CylinderModel {
+            px_mm: number(3.0),
+            py_mm: number(3.0),
+            theta_rad: number(1.6),
+            phi_rad: number(3.1),
+            radius_mm: number(5.0).abs() + 1e-3,
+        };
+        let rays = if ragged { random.random_range(0..=rays) } else { rays };
+        let point = |_| match random.random_bool(0.1) {
+            true => DVec2::NAN,
+            false => DVec2::new(random.random_range(-20.0..20.0), random.random_range(-20.0..20.0)),
+        };
+        let contour_mm = (0..rays).map(point).collect();
+        Frame {
+            world_from_sensor: Pose::from_quaternion(position, quaternion),
+            time_s: (timed && random.random_bool(0.9)).then(|| random.random_range(0.0..60.0)),
+            contour_mm,
+            cylinder: (modelled && random.random_bool(0.9)).then_some(model),
+        }
+    };
+    Recording { frames: (0..frames).map(frame).collect() }
+}
+
+/// What two recordings differ in; rotations may differ by `rotation_tolerance`, all else by not one bit.
+fn difference(a: &Recording, b: &Recording, rotation_tolerance: f64) -> Option<String> {
+    if a.frames.len() != b.frames.len() {
+        return Some(format!("{} and {} frames", a.frames.len(), b.frames.len()));
+    }
+    for (k, (a, b)) in a.frames.iter().zip(&b.frames).enumerate() {
+        let contour = |f: &Frame| -> Vec<[u64; 2]> {
+            f.contour_mm
+                .iter()
+                .map(|p| if p.is_nan() { [u64::MAX; 2] } else { p.to_array().map(f64::to_bits) })
+                .collect()
+        };
+        let (p, q) = (&a.world_from_sensor, &b.world_from_sensor);
+        let same = p.translation_mm.to_array().map(f64::to_bits)
+            == q.translation_mm.to_array().map(f64::to_bits)
+            && p.rotation.abs_diff_eq(q.rotation, rotation_tolerance)
+            && a.time_s == b.time_s
+            && contour(a) == contour(b)
+            && a.cylinder == b.cylinder;
+        if !same {
+            return Some(format!("frame {k}: {a:?} and {b:?}"));
+        }
+    }
+    None
+}
+
+#[test]
+fn a_recording_comes_back_from_its_file_as_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mat, csv) = (folder.path().join("rec.mat"), folder.path().join("rec"));
+    for seed in 0..60 {
+        let recording = some_recording(seed);
+        recording.write(&mat).unwrap();
+        assert_eq!(difference(&recording, &Recording::read(&mat).unwrap(), 0.0), None, "seed {seed}");
+        // The folder of the seed before is there and is replaced.
+        recording.write(&csv).unwrap();
+        assert_eq!(difference(&recording, &Recording::read(&csv).unwrap(), 1e-12), None, "seed {seed}");
+    }
+    let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(left.len(), 2, "nothing temporary stays: {left:?}");
+}
+
+#[test]
+fn the_comparison_sees_one_changed_bit() {
+    let recording = some_recording(3);
+    let mut changed = recording.clone();
+    let frame = changed.frames.iter_mut().find(|f| f.echoes_mm().next().is_some()).unwrap();
+    let point = frame.contour_mm.iter_mut().find(|p| !p.is_nan()).unwrap();
+    point.y = f64::from_bits(point.y.to_bits() ^ 1);
+    assert!(difference(&recording, &changed, 0.0).is_some());
+}
+
+#[test]
+fn equal_recordings_give_equal_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str| {
+        let path = folder.path().join(name);
+        some_recording(7).write(&path).unwrap();
+        std::fs::read(path).unwrap()
+    };
+    assert_eq!(write("a.mat"), write("b.mat"));
+}
+
+#[test]
+fn real_recordings_are_read_with_their_missing_echoes() {
+    for name in ["adult_aorta_clean.mat", "adult_aorta_noisy.mat"] {
+        let Some(path) = shared(&format!("recordings/{name}")) else { return };
+        let recording = Recording::read(&path).unwrap();
+        assert_eq!(recording.frames.len(), 1000);
+        assert!(recording.frames.iter().all(|f| f.contour_mm.len() == 90 && f.cylinder.is_some()));
+        assert_eq!(recording.frames.iter().map(Frame::missing_echoes).sum::<usize>(), 318);
+        let folder = tempfile::tempdir().unwrap();
+        let copy = folder.path().join("copy.mat");
+        recording.write(&copy).unwrap();
+        assert_eq!(difference(&recording, &Recording::read(&copy).unwrap(), 0.0), None);
+    }
+}
+
+#[test]
+fn octave_reads_what_we_write() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = some_recording(11);
+    recording.write(&folder.path().join("rec.mat")).unwrap();
+    let Some(said) = octave(
+        folder.path(),
+        "load rec.mat; printf('%d ', size(rotm), size(Ep), size(x_data)); \
+         printf('%.17g ', rotm(2, 3, end), Ep(end, 2), nansum_(x_data(:)));",
+    ) else {
+        return;
+    };
+    let last = recording.frames.last().unwrap();
+    let (frames, rays) =
+        (recording.frames.len(), recording.frames.iter().map(|f| f.contour_mm.len()).max().unwrap());
+    let numbers: Vec<f64> = said.split_whitespace().map(|n| n.parse().unwrap()).collect();
+    let sizes = [3, 3, frames, frames, 3, frames, rays].map(|n| n as f64);
+    assert_eq!(numbers[..7], sizes);
+    assert_eq!(numbers[7], last.world_from_sensor.rotation.z_axis.y);
+    assert_eq!(numbers[8], last.world_from_sensor.translation_mm.y);
+    // The sum is in another order there.
+    let sum: f64 = recording.frames.iter().flat_map(Frame::echoes_mm).map(|p| p.x).sum();
+    assert!((numbers[9] - sum).abs() < 1e-9, "{} {sum}", numbers[9]);
+}
+
+/// Octave code that makes a good recording of 4 frames and 5 rays.
+const GOOD: &str = "rotm = repmat(eye(3), [1 1 4]); Ep = reshape(1:12, 4, 3) / 8; \
+    x_data = reshape(1:20, 4, 5) / 4; y_data = -x_data; x_data(2, 3) = y_data(2, 3) = NaN;";
+
+#[test]
+fn files_that_octave_writes_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let code = format!(
+        "{GOOD} save -v6 v6.mat; save -v7 v7.mat; \
+         x_data = single(x_data); y_data = single(y_data); Ep = int16(Ep * 8); save -v7 classes.mat; \
+         z = {{1, 'a'}}; s.a = 3; t = 'text'; b = true; c = sparse([1 0 2]); save -v7 others.mat; \
+         rotm = eye(3); Ep = Ep(1, :); x_data = x_data(1, :); y_data = y_data(1, :); save -v6 one.mat; \
+         cyl_px = cyl_py = theta = phi = 0.25; rad = 7; time_s = 2.5; save -v7 model.mat;"
+    );
+    if octave(folder.path(), &code).is_none() {
+        return;
+    }
+    let read = |name: &str| Recording::read(&folder.path().join(name)).unwrap();
+    let v6 = read("v6.mat");
+    assert_eq!(v6.frames.len(), 4);
+    assert_eq!(v6.frames[1].world_from_sensor.translation_mm, DVec3::new(2.0, 6.0, 10.0) / 8.0);
+    assert_eq!(v6.frames[3].contour_mm[4], DVec2::new(5.0, -5.0));
+    assert_eq!(v6.frames.iter().map(Frame::missing_echoes).collect::<Vec<_>>(), [0, 1, 0, 0]);
+    assert_eq!(difference(&v6, &read("v7.mat"), 0.0), None);
+    let classes = read("classes.mat");
+    assert_eq!(classes.frames[1].world_from_sensor.translation_mm, DVec3::new(2.0, 6.0, 10.0));
+    assert_eq!(classes.frames[0].contour_mm, v6.frames[0].contour_mm);
+    assert_eq!(difference(&classes, &read("others.mat"), 0.0), None);
+    assert_eq!(read("one.mat").frames.len(), 1);
+    let model = &read("model.mat").frames[0];
+    assert_eq!(model.time_s, Some(2.5));
+    assert_eq!(model.cylinder.unwrap().radius_mm, 7.0);
+}
+
+#[test]
+fn bad_mat_variables_are_named_with_what_was_expected() {
+    let cases = [
+        ("clear Ep", "Ep: found no variable of that name, expected rotm, Ep, x_data and y_data"),
+        ("clear y_data", "y_data: found no variable of that name"),
+        ("Ep = Ep'", "Ep: found 3x4, expected Fx3"),
+        ("rotm = rotm(:, :, 1:3)", "rotm: found 3x3x3, expected 3x3x4 (Ep is 4x3)"),
+        ("x_data = x_data'", "x_data: found 5x4, expected 4xM (Ep is 4x3)"),
+        ("y_data = y_data(:, 1:4)", "y_data: found 4x4, expected 4x5 (as x_data)"),
+        ("x_data = x_data * i", "x_data: found complex numbers, expected a full array of real numbers"),
+        ("rotm = {rotm}", "rotm: found a cell array, expected"),
+        ("Ep = 'abc'", "Ep: found text, expected"),
+        ("Ep = struct('a', 1)", "Ep: found a struct, expected"),
+        ("Ep = sparse(Ep)", "Ep: found a sparse array, expected"),
+        ("Ep = Ep > 0", "Ep: found logical values, expected"),
+        (
+            "Ep(3, 2) = NaN",
+            "frame 2: position: found [0.375, NaN, 1.375], expected three finite numbers in mm",
+        ),
+        ("rotm(1, 1, 2) = Inf", "frame 1: rotation: found a number that is not finite"),
+        ("rotm(1, 1, 2) = -1", "frame 1: rotation: found determinant -1.000, expected 1 (right-handed axes)"),
+        ("rotm(1, 1, 2) = 1.5", "frame 1: rotation: found |RᵀR - I| = 1.250e0, expected at most 1e-3"),
+        (
+            "x_data(1, 2) = NaN",
+            "frame 0: contour: found (NaN, -1.25) at point 1, expected two finite numbers",
+        ),
+        ("rad = ones(4, 1)", "cyl_px, cyl_py, theta, phi: found no variable of that name, expected all of"),
+        ("time_s = [1 2 3]", "time_s: found 1x3, expected 4x1 (one number per frame)"),
+        ("rays = [5 5 6 5]", "frame 2: rays: found 6, expected a whole number from 0 to 5"),
+        (
+            "cyl_px = cyl_py = theta = phi = ones(4, 1); rad = [1 1 1 0]",
+            "frame 3: cylinder radius: found 0 mm",
+        ),
+        ("Ep = zeros(0, 3); rotm = zeros(3, 3, 0); x_data = y_data = zeros(0, 5)", "frames: found 0 frames"),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let mut code = String::new();
+    for (i, (change, _)) in cases.iter().enumerate() {
+        code += &format!("clear all; {GOOD} {change}; save -v7 bad{i}.mat; ");
+    }
+    if octave(folder.path(), &code).is_none() {
+        return;
+    }
+    for (i, (change, expected)) in cases.iter().enumerate() {
+        let path = folder.path().join(format!("bad{i}.mat"));
+        let message = Recording::read(&path).expect_err(change).to_string();
+        assert!(message.starts_with(&format!("{}: ", path.display())), "{change}: {message}");
+        assert!(message.contains(expected), "{change}: {message}");
+    }
+}
+
+#[test]
+fn files_that_are_no_mat_files_say_what_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let message = |name: &str, content: &[u8]| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        Recording::read(&path).unwrap_err().to_string()
+    };
+    let mut hdf5 =
+        b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Mon Jan 01 00:00:00 2024 HDF5".to_vec();
+    hdf5.resize(512, b' ');
+    hdf5.extend(b"\x89HDF\r\n\x1a\n");
+    for content in [hdf5.as_slice(), b"\x89HDF\r\n\x1a\n and so on"] {
+        let said = message("v73.mat", content);
+        assert!(said.contains("format: found version 7.3 (HDF5), expected"), "{said}");
+        assert!(said.contains("save with -v7"), "{said}");
+    }
+    assert!(message("empty.mat", b"").contains("found an empty file"));
+    assert!(message("noise.mat", &[7; 300]).contains("found a file without the header of one"));
+    assert!(message("text.mat", b"# Created by Octave 9.2.0").contains("Octave's own format"));
+    assert!(message("rec.npz", b"PK").contains("unknown ending \"npz\", expected one of mat"));
+    let absent = Recording::read(&folder.path().join("absent.mat")).unwrap_err().to_string();
+    assert!(absent.contains("absent.mat: cannot read: "), "{absent}");
+}
+
+#[test]
+fn a_mat_file_that_is_cut_short_names_the_variable() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rec.mat");
+    some_recording(11).write(&path).unwrap();
+    let whole = std::fs::read(&path).unwrap();
+    let message = |length: usize| {
+        std::fs::write(&path, &whole[..length]).unwrap();
+        Recording::read(&path).unwrap_err().to_string()
+    };
+    assert!(message(400).contains("rec.mat: rotm: found 264 of "), "{}", message(400));
+    assert!(message(400).contains("the file is cut short"), "{}", message(400));
+    for length in 0..600 {
+        message(length);
+    }
+}
+
+/// A folder of CSV files, written as a spreadsheet in Europe may.
+fn write_csv(folder: &Path, poses: &str, contours: &str, cylinders: Option<&str>) {
+    std::fs::write(folder.join("poses.csv"), poses).unwrap();
+    std::fs::write(folder.join("contours.csv"), contours).unwrap();
+    if let Some(text) = cylinders {
+        std::fs::write(folder.join("cylinders.csv"), text).unwrap();
+    }
+}
+
+#[test]
+fn csv_columns_are_found_by_name_in_any_dialect() {
+    let folder = tempfile::tempdir().unwrap();
+    write_csv(
+        folder.path(),
+        "\u{feff}note;qw;qx;qy;qz;x_mm;y_mm;z_mm;time_s;frame\r\nfirst;1,0004;0;0;0;-1,5;2;3;;10\r\n;0;1;0;0;0;0;0;0,25;12\r\n",
+        "frame\ty_mm\tx_mm\n12\t1.5\t2\n10\t\t\n10\tNaN\tNaN\n12\t3\t4\n",
+        Some("frame,px_mm,py_mm,theta_rad,phi_rad,radius_mm\n12,0,0,1.5,1.5,4\n"),
+    );
+    let recording = Recording::read(folder.path()).unwrap();
+    let [first, second] = &recording.frames[..] else { panic!("two frames") };
+    assert_eq!(
+        first.world_from_sensor,
+        Pose { translation_mm: DVec3::new(-1.5, 2.0, 3.0), ..Pose::IDENTITY }
+    );
+    assert_eq!((first.time_s, second.time_s), (None, Some(0.25)));
+    assert_eq!((first.contour_mm.len(), first.missing_echoes()), (2, 2));
+    assert_eq!(second.contour_mm, [DVec2::new(2.0, 1.5), DVec2::new(4.0, 3.0)]);
+    assert_eq!(second.cylinder.unwrap().radius_mm, 4.0);
+}
+
+#[test]
+fn bad_csv_lines_are_named_with_what_was_expected() {
+    let poses = "frame,x_mm,y_mm,z_mm,qx,qy,qz,qw\n3,0,0,0,0,0,0,1\n4,0,0,0,0,0,0,1\n";
+    let contours = "frame,x_mm,y_mm\n3,1,1\n4,2,2\n";
+    let cylinders = "frame,px_mm,py_mm,theta_rad,phi_rad,radius_mm\n3,0,0,1,1,1\n";
+    let cases = [
+        ("poses", "x_mm,y_mm", "x,y_mm", "poses.csv: x_mm: found columns frame, x, y_mm"),
+        ("poses", "x_mm,y_mm", "x_mm,x_mm", "poses.csv: x_mm: found two columns of that name, expected one"),
+        ("poses", "4,0", "3,0", "poses.csv: line 3: frame: found 3, expected a number above 3"),
+        ("poses", "4,0", "2,0", "poses.csv: line 3: frame: found 2, expected a number above 3"),
+        ("poses", "4,0", "4.5,0", "poses.csv: line 3: frame: found 4.5, expected a whole number"),
+        ("poses", "4,0", "4,abc", "poses.csv: line 3: x_mm: found \"abc\", expected a number"),
+        ("poses", "4,0,", "4,,", "poses.csv: line 3: x_mm: found nothing, expected a number"),
+        (
+            "poses",
+            "4,0,0,0,0,0,0,1",
+            "4,0,0,0,0",
+            "poses.csv: line 3: qy: found a line of 5 fields, expected at least 6",
+        ),
+        (
+            "poses",
+            "4,0,0,0,0,0,0,1",
+            "4,0,0,0,0,0,0,0.9",
+            "frame 1: rotation: found axes of length 0.8100 (a quaternion of norm 0.9000), expected unit axes",
+        ),
+        (
+            "poses",
+            "4,0,0,0,0,0,0,1",
+            "4,0,0,0,0,0,0,0",
+            "frame 1: rotation: found a first axis of length 0, expected unit axes",
+        ),
+        (
+            "poses",
+            "4,0,0,0,0,0,0,1",
+            "4,0,NaN,0,0,0,0,1",
+            "frame 1: position: found [0, NaN, 0], expected three finite",
+        ),
+        ("contours", "4,2", "5,2", "contours.csv: line 3: frame: found 5, expected a frame of poses.csv"),
+        (
+            "contours",
+            "4,2,2",
+            "4,2,",
+            "frame 1: contour: found (2, NaN) at point 0, expected two finite numbers",
+        ),
+        ("contours", "frame,x_mm,y_mm\n", "", "contours.csv: frame: found no line of column names"),
+        ("cylinders", "3,0", "9,0", "cylinders.csv: line 2: frame: found 9, expected a frame of poses.csv"),
+        (
+            "cylinders",
+            "1,1,1\n",
+            "1,1,1\n3,0,0,1,1,1\n",
+            "cylinders.csv: line 3: frame: found a second line for this frame, expected one",
+        ),
+        (
+            "cylinders",
+            "1,1,1\n",
+            "1,1,-1\n",
+            "frame 0: cylinder radius: found -1 mm, expected more than 0 mm",
+        ),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    write_csv(folder.path(), poses, contours, Some(cylinders));
+    Recording::read(folder.path()).unwrap();
+    for (file, from, to, expected) in cases {
+        let change =
+            |name: &str, text: &str| if file == name { text.replace(from, to) } else { text.to_owned() };
+        let cylinders = change("cylinders", cylinders);
+        write_csv(folder.path(), &change("poses", poses), &change("contours", contours), Some(&cylinders));
+        let message = Recording::read(folder.path()).expect_err(expected).to_string();
+        assert!(message.contains(expected), "{expected}\n{message}");
+        assert!(message.starts_with(&folder.path().display().to_string()), "{message}");
+    }
+    std::fs::remove_file(folder.path().join("contours.csv")).unwrap();
+    let message = Recording::read(folder.path()).unwrap_err().to_string();
+    assert!(message.contains("cannot read"), "{message}");
+}
+
+#[test]
+fn a_recording_that_would_not_read_back_is_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut recording = some_recording(1);
+    recording.frames[0].world_from_sensor.translation_mm.x = f64::NAN;
+    for name in ["rec.mat", "rec"] {
+        let message = recording.write(&folder.path().join(name)).unwrap_err().to_string();
+        assert!(message.contains(&format!("{name}: frame 0: position: found ")), "{message}");
+    }
+    let message = some_recording(1).write(&folder.path().join("rec.xlsx")).unwrap_err().to_string();
+    assert!(message.contains("rec.xlsx: unknown ending \"xlsx\", expected one of mat"), "{message}");
+    std::fs::write(folder.path().join("file"), "in the way").unwrap();
+    let message = some_recording(1).write(&folder.path().join("file")).unwrap_err().to_string();
+    assert!(message.contains("file: cannot write: "), "{message}");
+    let message = some_recording(1).write(&folder.path().join("no/such/rec")).unwrap_err().to_string();
+    assert!(message.contains("rec: cannot write: "), "{message}");
+    let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(left, ["file"]);
+}
+
+#[test]
+fn models_of_an_older_recording_do_not_stay_in_its_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rec");
+    let with_models =
+        (0..).map(some_recording).find(|r| r.frames.iter().any(|f| f.cylinder.is_some())).unwrap();
+    with_models.write(&path).unwrap();
+    assert!(path.join("cylinders.csv").exists());
+    let mut without = with_models;
+    without.frames.iter_mut().for_each(|f| f.cylinder = None);
+    without.write(&path).unwrap();
+    assert_eq!(difference(&without, &Recording::read(&path).unwrap(), 1e-12), None);
+}
