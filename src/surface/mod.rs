@@ -1,8 +1,22 @@
 //! Triangle surfaces with arrays over their nodes, and the files that hold them.
+//!
+//! One file of this module per format. VTP rests on `quick-xml`, `flate2` and `base64`. PLY, STL and OBJ are read here:
+//! what bad input may do is then ours to bound, as no buffer is ever larger than the file gives cause for.
 
-use crate::{Error, Result};
+mod obj;
+mod ply;
+mod stl;
+mod topology;
+mod vtp;
+
+pub use topology::Topology;
+
+use crate::{Error, Result, output};
 use glam::DVec3;
 use std::path::Path;
+
+/// The endings that [`Surface::read`] and [`Surface::write`] know.
+pub const ENDINGS: &str = ".vtp, .ply, .stl, .obj";
 
 /// A value per node, as VTP and PLY carry them.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,21 +52,104 @@ impl Surface {
         }
     }
 
-    /// Reads a surface by its file's ending: `.vtp`, `.ply`, `.stl` (welded), `.obj`.
+    /// Reads a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`. Numbers are taken as millimetres.
+    ///
+    /// Polygons become fans of triangles. VTP and PLY bring their scalar node arrays; arrays of several values per node
+    /// and arrays over cells are left out. An STL's corners become one node where their positions are equal, and
+    /// triangles that this leaves with fewer than three different nodes are dropped.
     ///
     /// # Errors
-    /// Where the file cannot be read or holds no usable triangle surface.
+    /// Where the file cannot be read or holds no usable triangle surface: no triangles, an index out of range, a
+    /// position that is not finite, content cut short.
     pub fn read(path: &Path) -> Result<Self> {
-        let _ = path;
-        todo!()
+        let parse = match output::ending(path).as_str() {
+            "vtp" => vtp::parse,
+            "ply" => ply::parse,
+            "stl" => stl::parse,
+            "obj" => obj::parse,
+            ending => return Err(unknown_ending(path, ending)),
+        };
+        let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.into(), source })?;
+        if bytes.is_empty() {
+            return Err(Error::input(path, "content", "an empty file", "a surface"));
+        }
+        let surface = parse(path, &bytes)?;
+        if surface.triangles.is_empty() {
+            return Err(Error::input(path, "triangles", "none", "at least one"));
+        }
+        if let Some(i) = surface.nodes_mm.iter().position(|p| !p.is_finite()) {
+            let found = surface.nodes_mm[i];
+            return Err(Error::input(path, format!("position of node {i}"), found, "finite coordinates"));
+        }
+        surface.check().map_err(|error| match error {
+            Error::Surface { what, found, expected } => Error::input(path, what, found, expected),
+            other => other,
+        })?;
+        Ok(surface)
     }
 
-    /// Writes a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`. The first two carry the arrays.
+    /// Writes a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`. The first two carry the arrays, all but
+    /// STL (single precision, triangles only) keep positions to the last bit.
     ///
     /// # Errors
-    /// Where the file cannot be written or its ending is unknown; no partial file is left behind.
+    /// [`Error::UnknownEnding`]; [`Error::Surface`] where an index or an array's length is wrong; [`Error::Write`], and
+    /// no partial file is left behind.
     pub fn write(&self, path: &Path) -> Result<()> {
-        Err(Error::UnknownEnding { path: path.into(), ending: String::new(), expected: "" })
+        let write = match output::ending(path).as_str() {
+            "vtp" => vtp::write,
+            "ply" => ply::write,
+            "stl" => stl::write,
+            "obj" => obj::write,
+            ending => return Err(unknown_ending(path, ending)),
+        };
+        self.check()?;
+        output::write_atomically(path, |w| write(self, w))
+    }
+
+    /// That every triangle's indices name nodes and every array has one value per node.
+    ///
+    /// # Errors
+    /// [`Error::Surface`] with the first that does not.
+    pub fn check(&self) -> Result<()> {
+        let nodes = self.nodes_mm.len();
+        for (t, corners) in self.triangles.iter().enumerate() {
+            if let Some(corner) = corners.iter().find(|&&c| c as usize >= nodes) {
+                return Err(Error::Surface {
+                    what: format!("triangle {t}"),
+                    found: format!("node {corner}"),
+                    expected: format!("a node below {nodes}"),
+                });
+            }
+        }
+        for (k, array) in self.arrays.iter().enumerate() {
+            let what = format!("node array {:?}", array.name);
+            if array.values.len() != nodes {
+                return Err(Error::Surface {
+                    what,
+                    found: format!("{} values", array.values.len()),
+                    expected: format!("{nodes}, one per node"),
+                });
+            }
+            if array.name.trim().is_empty() || self.arrays[..k].iter().any(|a| a.name == array.name) {
+                return Err(Error::Surface {
+                    what,
+                    found: "an empty or repeated name".into(),
+                    expected: "a name of its own".into(),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// The corners of triangle `t`, mm.
+    pub(crate) fn corners_mm(&self, t: usize) -> [DVec3; 3] {
+        self.triangles[t].map(|n| self.nodes_mm[n as usize])
+    }
+
+    /// The smallest and largest coordinates, mm; `None` without nodes.
+    pub fn bounding_box_mm(&self) -> Option<[DVec3; 2]> {
+        let first = *self.nodes_mm.first()?;
+        Some(self.nodes_mm.iter().fold([first, first], |[low, high], &p| [low.min(p), high.max(p)]))
     }
 }
 
@@ -61,6 +158,40 @@ impl Surface {
 /// # Errors
 /// [`Error::UnknownEnding`].
 pub fn check_ending(path: &Path) -> Result<()> {
-    let _ = path;
+    match output::ending(path).as_str() {
+        "vtp" | "ply" | "stl" | "obj" => Ok(()),
+        ending => Err(unknown_ending(path, ending)),
+    }
+}
+
+fn unknown_ending(path: &Path, ending: &str) -> Error {
+    Error::UnknownEnding { path: path.into(), ending: ending.into(), expected: ENDINGS }
+}
+
+/// Appends a polygon as a fan of triangles about its first corner.
+fn push_polygon(
+    path: &Path,
+    polygon: usize,
+    corners: &[i64],
+    nodes: usize,
+    triangles: &mut Vec<[u32; 3]>,
+) -> Result<()> {
+    let field = || format!("polygon {polygon}");
+    if corners.len() < 3 {
+        return Err(Error::input(path, field(), format!("{} corners", corners.len()), "3 or more"));
+    }
+    let node = |corner: i64| match u32::try_from(corner) {
+        Ok(index) if (index as usize) < nodes => Ok(index),
+        _ => Err(Error::input(
+            path,
+            field(),
+            format!("node {corner}"),
+            format!("a node from 0 to below {nodes}"),
+        )),
+    };
+    let first = node(corners[0])?;
+    for pair in corners[1..].windows(2) {
+        triangles.push([first, node(pair[0])?, node(pair[1])?]);
+    }
     Ok(())
 }

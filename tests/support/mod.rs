@@ -1,18 +1,76 @@
-//! What several test files share: the data that lies outside the repository, and tools that may be absent.
+//! What several test files share: shapes, the data that lies outside the repository, and tools that may be absent.
 
+use glam::DVec3;
+use lumenmesh::surface::Surface;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// A file of the shared data; `None`, said loudly, where it is not there.
-pub fn shared(name: &str) -> Option<PathBuf> {
-    let root = std::env::var("LUMENMESH_SHARED").unwrap_or_else(|_| "../shared".into());
-    let path = Path::new(&root).join(name);
-    if path.exists() {
-        return Some(path);
+/// A tube about z, open at both ends, normals outwards.
+pub fn tube(nodes: u32, levels: u32, radius_mm: f64, height_mm: f64) -> Surface {
+    let mut surface = Surface::default();
+    for level in 0..=levels {
+        let z = height_mm * (f64::from(level) / f64::from(levels) - 0.5);
+        for j in 0..nodes {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(j) / f64::from(nodes)).sin_cos();
+            surface.nodes_mm.push(DVec3::new(radius_mm * cos, radius_mm * sin, z));
+        }
     }
-    let required = std::env::var("LUMENMESH_REQUIRE_DATA").is_ok_and(|v| v == "1");
-    assert!(!required, "{} is not there", path.display());
-    eprintln!("SKIPPED: {} is not there (set LUMENMESH_SHARED)", path.display());
+    for level in 0..levels {
+        for j in 0..nodes {
+            let (a, b) = (level * nodes + j, level * nodes + (j + 1) % nodes);
+            surface.triangles.extend([[a, b, b + nodes], [a, b + nodes, a + nodes]]);
+        }
+    }
+    surface
+}
+
+/// A closed surface of four triangles, normals outwards.
+pub fn tetrahedron() -> Surface {
+    Surface {
+        nodes_mm: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
+        triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],
+        arrays: Vec::new(),
+    }
+}
+
+/// A file of the shared data; `None`, said loudly, where that data is not there.
+pub fn shared(path: &str) -> Option<PathBuf> {
+    let folder =
+        std::env::var_os("LUMENMESH_SHARED").map_or_else(|| PathBuf::from("../shared"), PathBuf::from);
+    let file = folder.join(path);
+    if file.exists() {
+        return Some(file);
+    }
+    assert!(!required("LUMENMESH_REQUIRE_DATA"), "{} is missing", file.display());
+    eprintln!("SKIPPED: {} is missing (LUMENMESH_SHARED names the data's folder)", file.display());
+    None
+}
+
+fn required(variable: &str) -> bool {
+    std::env::var(variable).is_ok_and(|value| value == "1")
+}
+
+/// A Python that can import VTK.
+pub struct Python(PathBuf);
+
+impl Python {
+    /// Runs a script and returns what it prints.
+    pub fn run(&self, script: &str, arguments: &[&Path]) -> String {
+        let output = Command::new(&self.0).args(["-c", script]).args(arguments).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    }
+}
+
+/// `LUMENMESH_PYTHON` or `python3`; `None`, said loudly, where it cannot import VTK.
+pub fn python_with_vtk() -> Option<Python> {
+    let python = std::env::var_os("LUMENMESH_PYTHON").unwrap_or_else(|| "python3".into());
+    let imported = Command::new(&python).args(["-c", "import vtk, numpy"]).output();
+    if imported.is_ok_and(|output| output.status.success()) {
+        return Some(Python(python.into()));
+    }
+    assert!(!required("LUMENMESH_REQUIRE_TOOLS"), "no Python with VTK");
+    eprintln!("SKIPPED: no Python with VTK (LUMENMESH_PYTHON names one)");
     None
 }
 
@@ -31,8 +89,7 @@ pub fn octave(folder: &Path, code: &str) -> Option<String> {
             Some(String::from_utf8_lossy(&output.stdout).into_owned())
         }
         Err(e) => {
-            let required = std::env::var("LUMENMESH_REQUIRE_TOOLS").is_ok_and(|v| v == "1");
-            assert!(!required, "octave-cli does not run: {e}");
+            assert!(!required("LUMENMESH_REQUIRE_TOOLS"), "octave-cli does not run: {e}");
             eprintln!("SKIPPED: octave-cli does not run: {e}");
             None
         }

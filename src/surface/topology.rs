@@ -1,0 +1,206 @@
+//! What holds a surface together, and its normals.
+
+use super::Surface;
+use glam::DVec3;
+use serde::Serialize;
+
+/// A triangle whose area is below this share of its longest edge's square is degenerate: its normal would be rounding
+/// noise.
+const SMALLEST_AREA_RATIO: f64 = 1e-12;
+
+/// How the triangles of a surface hang together.
+///
+/// Triangles that name a node twice count as degenerate and nowhere else.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Topology {
+    /// Nodes that some triangle uses.
+    pub nodes: usize,
+    /// Edges between them, each counted once.
+    pub edges: usize,
+    /// Triangles.
+    pub triangles: usize,
+    /// Edges of one triangle only.
+    pub boundary_edges: usize,
+    /// Connected groups of boundary edges: the openings.
+    pub boundary_loops: usize,
+    /// Edges of three triangles or more.
+    pub non_manifold_edges: usize,
+    /// Edges of two triangles that both run along them the same way, so that their normals disagree.
+    pub inconsistent_edges: usize,
+    /// Triangles that name a node twice or have no area (below 1e-12 of their longest edge squared).
+    pub degenerate_triangles: usize,
+    /// Triangles whose three nodes an earlier one has too, in whatever order.
+    pub duplicate_triangles: usize,
+    /// Parts that share no node.
+    pub components: usize,
+    /// Nodes - edges + triangles: 2 for a closed sphere, less 1 per opening and less 2 per handle.
+    pub euler_characteristic: i64,
+}
+
+impl Topology {
+    /// Whether every edge belongs to one or two triangles and two neighbours agree on their orientation.
+    pub fn is_oriented_manifold(&self) -> bool {
+        self.non_manifold_edges == 0 && self.inconsistent_edges == 0
+    }
+
+    /// Whether there is no boundary.
+    pub fn is_closed(&self) -> bool {
+        self.boundary_edges == 0
+    }
+}
+
+/// An edge of a triangle: its nodes in ascending order and whether the triangle runs along it that way.
+type DirectedEdge = (u32, u32, bool);
+
+impl Surface {
+    /// How its triangles hang together.
+    pub fn topology(&self) -> Topology {
+        let whole: Vec<[u32; 3]> = self.triangles.iter().copied().filter(|&t| has_three_nodes(t)).collect();
+        let mut topology = Topology { triangles: whole.len(), ..Topology::default() };
+        let flat = |t: &&[u32; 3]| has_no_area(t.map(|n| self.nodes_mm[n as usize]));
+        topology.degenerate_triangles =
+            self.triangles.len() - whole.len() + whole.iter().filter(flat).count();
+
+        let mut sorted = whole.clone();
+        sorted.iter_mut().for_each(|t| t.sort_unstable());
+        sorted.sort_unstable();
+        topology.duplicate_triangles = sorted.windows(2).filter(|pair| pair[0] == pair[1]).count();
+
+        let mut parts = Groups::new(self.nodes_mm.len());
+        let mut openings = Groups::new(self.nodes_mm.len());
+        let edges = directed_edges(&whole);
+        for edge in edges.chunk_by(|p, q| (p.0, p.1) == (q.0, q.1)) {
+            topology.edges += 1;
+            parts.join(edge[0].0, edge[0].1);
+            match edge {
+                [only] => {
+                    topology.boundary_edges += 1;
+                    openings.join(only.0, only.1);
+                }
+                [p, q] => topology.inconsistent_edges += usize::from(p.2 == q.2),
+                _ => topology.non_manifold_edges += 1,
+            }
+        }
+        topology.nodes = parts.members();
+        topology.components = parts.count();
+        topology.boundary_loops = openings.count();
+        topology.euler_characteristic =
+            topology.nodes as i64 - topology.edges as i64 + topology.triangles as i64;
+        topology
+    }
+
+    /// The edges of one triangle only, each in ascending node order.
+    pub fn boundary_edges(&self) -> Vec<[u32; 2]> {
+        let whole: Vec<[u32; 3]> = self.triangles.iter().copied().filter(|&t| has_three_nodes(t)).collect();
+        let edges = directed_edges(&whole);
+        let groups = edges.chunk_by(|p, q| (p.0, p.1) == (q.0, q.1));
+        groups.filter(|edge| edge.len() == 1).map(|edge| [edge[0].0, edge[0].1]).collect()
+    }
+
+    /// The area of each triangle, mm².
+    pub fn triangle_areas_mm2(&self) -> Vec<f64> {
+        (0..self.triangles.len()).map(|t| area(self.corners_mm(t))).collect()
+    }
+
+    /// Its whole area, mm².
+    pub fn area_mm2(&self) -> f64 {
+        self.triangle_areas_mm2().iter().sum()
+    }
+
+    /// The area about each node: a third of each triangle that touches it, mm².
+    pub fn node_areas_mm2(&self) -> Vec<f64> {
+        let mut areas = vec![0.0; self.nodes_mm.len()];
+        for (triangle, area) in self.triangles.iter().zip(self.triangle_areas_mm2()) {
+            for &node in triangle {
+                areas[node as usize] += area / 3.0;
+            }
+        }
+        areas
+    }
+
+    /// The unit normal of each triangle; zero for a degenerate one.
+    pub fn triangle_normals(&self) -> Vec<DVec3> {
+        let normal = |t| {
+            let corners @ [a, b, c] = self.corners_mm(t);
+            if has_no_area(corners) { DVec3::ZERO } else { (b - a).cross(c - a).normalize_or_zero() }
+        };
+        (0..self.triangles.len()).map(normal).collect()
+    }
+
+    /// The unit normal at each node: its triangles' normals, each weighted by its angle there (the pseudo-normal of
+    /// Bærentzen and Aanæs, *Signed distance computation using the angle weighted pseudonormal*, 2005); zero where they
+    /// cancel or there are none.
+    pub fn node_normals(&self) -> Vec<DVec3> {
+        let mut normals = vec![DVec3::ZERO; self.nodes_mm.len()];
+        for (t, normal) in self.triangle_normals().into_iter().enumerate() {
+            if normal == DVec3::ZERO {
+                continue;
+            }
+            let corners = self.corners_mm(t);
+            for (k, &node) in self.triangles[t].iter().enumerate() {
+                let [at, next, last] = [corners[k], corners[(k + 1) % 3], corners[(k + 2) % 3]];
+                normals[node as usize] += normal * (next - at).angle_between(last - at);
+            }
+        }
+        normals.into_iter().map(DVec3::normalize_or_zero).collect()
+    }
+}
+
+fn area([a, b, c]: [DVec3; 3]) -> f64 {
+    0.5 * (b - a).cross(c - a).length()
+}
+
+fn has_no_area(corners @ [a, b, c]: [DVec3; 3]) -> bool {
+    let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
+    area(corners) <= SMALLEST_AREA_RATIO * longest
+}
+
+fn has_three_nodes([a, b, c]: [u32; 3]) -> bool {
+    a != b && b != c && c != a
+}
+
+/// All edges, sorted, so that those of neighbours follow each other.
+fn directed_edges(triangles: &[[u32; 3]]) -> Vec<DirectedEdge> {
+    let edge = |a: u32, b: u32| (a.min(b), a.max(b), a < b);
+    let mut edges: Vec<_> =
+        triangles.iter().flat_map(|&[a, b, c]| [edge(a, b), edge(b, c), edge(c, a)]).collect();
+    edges.sort_unstable();
+    edges
+}
+
+/// Nodes joined into groups (union-find with path halving).
+struct Groups {
+    parent: Vec<u32>,
+    joined: Vec<bool>,
+}
+
+impl Groups {
+    fn new(nodes: usize) -> Self {
+        Self { parent: (0..nodes as u32).collect(), joined: vec![false; nodes] }
+    }
+
+    fn root(&mut self, mut node: u32) -> u32 {
+        while self.parent[node as usize] != node {
+            let above = self.parent[self.parent[node as usize] as usize];
+            self.parent[node as usize] = above;
+            node = above;
+        }
+        node
+    }
+
+    fn join(&mut self, a: u32, b: u32) {
+        self.joined[a as usize] = true;
+        self.joined[b as usize] = true;
+        let (a, b) = (self.root(a), self.root(b));
+        self.parent[a.max(b) as usize] = a.min(b);
+    }
+
+    fn members(&self) -> usize {
+        self.joined.iter().filter(|&&joined| joined).count()
+    }
+
+    fn count(&self) -> usize {
+        let roots = self.parent.iter().enumerate().filter(|&(node, &parent)| node as u32 == parent);
+        roots.filter(|&(node, _)| self.joined[node]).count()
+    }
+}
