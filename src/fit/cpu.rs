@@ -186,7 +186,7 @@ struct Batch<T> {
     /// r of b, b' and a' of each point's face, less r of a.
     corner: [[T; BLOCK]; 3],
     distance: Vec<T>,
-    top: Vec<bool>,
+    top: Vec<u8>,
 }
 
 impl<T: Scalar> Batch<T> {
@@ -200,11 +200,11 @@ impl<T: Scalar> Batch<T> {
     fn measure(&mut self, chunk: &Chunk<T>, grid: &Grid<T>, faces: Range<usize>) {
         let offsets = &chunk.groups.offsets;
         let (begin, end) = (offsets[faces.start] as usize, offsets[faces.end] as usize);
-        self.distance.clear();
-        self.top.clear();
+        self.distance.resize(end - begin, T::default());
+        self.top.resize(end - begin, 0);
         let mut face = faces.start;
-        for points in chunk.groups.points[begin..end].chunks(BLOCK) {
-            let first = begin + self.distance.len();
+        for (block, points) in chunk.groups.points[begin..end].chunks(BLOCK).enumerate() {
+            let first = begin + block * BLOCK;
             // A block takes whole faces or a part of one long face.
             let mut filled = 0;
             while filled < points.len() {
@@ -213,19 +213,9 @@ impl<T: Scalar> Batch<T> {
                 filled = until;
                 face += usize::from(first + filled == offsets[face + 1] as usize);
             }
-            let Self { p, corner, distance: distances, top } = self;
-            for i in 0..points.len() {
-                let face = Face {
-                    b: corner[0][i],
-                    b_above: corner[1][i],
-                    a_above: corner[2][i],
-                    step_theta: grid.step_theta,
-                    step_z: grid.step_z,
-                };
-                let (signed, is_top) = distance([p[0][i], p[1][i], p[2][i]], &face);
-                distances.push(signed);
-                top.push(is_top);
-            }
+            let here = first - begin..first - begin + points.len();
+            let (distances, tops) = (&mut self.distance[here.clone()], &mut self.top[here]);
+            measure_block(&self.p, &self.corner, grid, distances, tops);
         }
     }
 
@@ -246,6 +236,31 @@ impl<T: Scalar> Batch<T> {
                 corner[first + i] = value;
             }
         }
+    }
+}
+
+/// The distance pass over a block.
+#[inline(always)]
+fn measure_block<T: Scalar>(
+    p: &[[T; BLOCK]; 3],
+    corner: &[[T; BLOCK]; 3],
+    grid: &Grid<T>,
+    distances: &mut [T],
+    tops: &mut [u8],
+) {
+    let count = distances.len().min(tops.len()).min(BLOCK);
+    let (distances, tops) = (&mut distances[..count], &mut tops[..count]);
+    for i in 0..count {
+        let face = Face {
+            b: corner[0][i],
+            b_above: corner[1][i],
+            a_above: corner[2][i],
+            step_theta: grid.step_theta,
+            step_z: grid.step_z,
+        };
+        let (signed, top) = distance([p[0][i], p[1][i], p[2][i]], &face);
+        distances[i] = signed;
+        tops[i] = u8::from(top);
     }
 }
 
@@ -273,7 +288,7 @@ impl<T: Scalar> pulp::NullaryFnOnce for Chunk<'_, T> {
                 to_bottom.clear();
                 to_top.clear();
                 for i in taken..taken + count {
-                    let to = if batch.top[i] { &mut to_top } else { &mut to_bottom };
+                    let to = if batch.top[i] != 0 { &mut to_top } else { &mut to_bottom };
                     to.push(batch.distance[i]);
                 }
                 taken += count;
