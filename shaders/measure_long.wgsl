@@ -1,0 +1,205 @@
+// Distances and statistics of the faces with many points, a workgroup a face at a time. Order statistics by
+// selection on the keys, eight bits a round.
+
+@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
+@group(0) @binding(2) var<storage, read> offsets: array<u32>;
+@group(0) @binding(3) var<storage, read> grouped: array<f32>;
+@group(0) @binding(4) var<storage, read> radii: array<f32>;
+@group(0) @binding(5) var<storage, read_write> statistics: array<TriangleStatistic>;
+@group(0) @binding(6) var<storage, read> long_faces: array<u32>;
+// A key per point: in each face those of the bottom triangle from the front, of the top one from the back.
+@group(0) @binding(7) var<storage, read_write> keys: array<u32>;
+
+const THREADS: u32 = 256u;
+
+var<workgroup> number: array<atomic<u32>, 2>;
+var<workgroup> histogram: array<array<atomic<u32>, 256>, 2>;
+var<workgroup> scan: array<array<u32, 256>, 2>;
+var<workgroup> chosen: array<u32, 2>;
+var<workgroup> rest: array<u32, 2>;
+var<workgroup> below: atomic<u32>;
+var<workgroup> kept: atomic<u32>;
+var<workgroup> sum_low: array<atomic<u32>, 2>;
+var<workgroup> sum_high: array<atomic<u32>, 2>;
+var<workgroup> shared_count: u32;
+
+fn key_at(begin: u32, end: u32, half: u32, entry: u32) -> u32 {
+    return keys[select(begin + entry, end - 1u - entry, half == 1u)];
+}
+
+fn add_to_sum(which: u32, x: Wide) {
+    let old = atomicAdd(&sum_low[which], x.low);
+    let carry = select(0u, 1u, old + x.low < old);
+    atomicAdd(&sum_high[which], x.high + carry);
+}
+
+// The keys of two ranks among the n keys of a triangle, in `chosen`.
+fn select_two(begin: u32, end: u32, half: u32, n: u32, ranks: vec2u, local: u32) {
+    if (local < 2u) {
+        chosen[local] = 0u;
+        rest[local] = ranks[local];
+    }
+    for (var round = 0u; round < 4u; round++) {
+        let shift = 24u - 8u * round;
+        atomicStore(&histogram[0][local], 0u);
+        atomicStore(&histogram[1][local], 0u);
+        workgroupBarrier();
+        let prefix = vec2u(chosen[0], chosen[1]);
+        for (var entry = local; entry < n; entry += THREADS) {
+            let key = key_at(begin, end, half, entry);
+            let digit = (key >> shift) & 0xffu;
+            // What lies above the digit; a shift by 32 is not defined.
+            let above = (key >> shift) >> 8u;
+            if (above == (prefix.x >> shift) >> 8u) {
+                atomicAdd(&histogram[0][digit], 1u);
+            }
+            if (above == (prefix.y >> shift) >> 8u) {
+                atomicAdd(&histogram[1][digit], 1u);
+            }
+        }
+        workgroupBarrier();
+        let own = vec2u(atomicLoad(&histogram[0][local]), atomicLoad(&histogram[1][local]));
+        scan[0][local] = own.x;
+        scan[1][local] = own.y;
+        workgroupBarrier();
+        for (var step = 1u; step < 256u; step *= 2u) {
+            var left = vec2u(0u);
+            if (local >= step) {
+                left = vec2u(scan[0][local - step], scan[1][local - step]);
+            }
+            workgroupBarrier();
+            scan[0][local] += left.x;
+            scan[1][local] += left.y;
+            workgroupBarrier();
+        }
+        let upto = vec2u(scan[0][local], scan[1][local]);
+        let wanted = vec2u(rest[0], rest[1]);
+        workgroupBarrier();
+        for (var which = 0u; which < 2u; which++) {
+            let before = upto[which] - own[which];
+            if (before <= wanted[which] && wanted[which] < upto[which]) {
+                chosen[which] = prefix[which] | (local << shift);
+                rest[which] = wanted[which] - before;
+            }
+        }
+        workgroupBarrier();
+    }
+}
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    if (local == 0u) {
+        shared_count = long_faces[0];
+    }
+    let long_count = workgroupUniformLoad(&shared_count);
+    for (var index = workgroup_index(group, groups); index < long_count; index += groups.x * groups.y) {
+        let face_of_all = long_faces[index + 1u];
+        let cylinder = face_of_all / job.faces;
+        let face = face_of_all % job.faces;
+        let rule = cylinders[cylinder];
+        let begin = offsets[face_of_all];
+        let end = offsets[face_of_all + 1u];
+        let level = face / job.nodes;
+        let j = face % job.nodes;
+        let k = select(j + 1u, 0u, j + 1u == job.nodes);
+        let row = cylinder * job.node_count + level * job.nodes;
+        let a = radii[row + j];
+        let corners = Face(radii[row + k] - a, radii[row + job.nodes + k] - a, radii[row + job.nodes + j] - a);
+        if (local < 2u) {
+            atomicStore(&number[local], 0u);
+        }
+        workgroupBarrier();
+        for (var i = begin + local; i < end; i += THREADS) {
+            let p = vec3f(grouped[3u * i] - a, grouped[3u * i + 1u], grouped[3u * i + 2u]);
+            let nearer = distance_to_face(p, corners, job.step_theta, job.step_z);
+            let half = select(0u, 1u, nearer.top);
+            let entry = atomicAdd(&number[half], 1u);
+            keys[select(begin + entry, end - 1u - entry, nearer.top)] = key_of(nearer.distance);
+        }
+        storageBarrier();
+        workgroupBarrier();
+
+        for (var half = 0u; half < 2u; half++) {
+            if (local == 0u) {
+                shared_count = atomicLoad(&number[half]);
+            }
+            let n = workgroupUniformLoad(&shared_count);
+            if (local < 2u) {
+                atomicStore(&sum_low[local], 0u);
+                atomicStore(&sum_high[local], 0u);
+            }
+            if (local == 0u) {
+                atomicStore(&below, 0u);
+                atomicStore(&kept, 0u);
+            }
+            workgroupBarrier();
+
+            var bounds = EVERYTHING;
+            if (n >= 2u && job.outliers == OUTLIERS_IQR) {
+                select_two(begin, end, half, n, vec2u(first_quartile(n), third_quartile(n)), local);
+                bounds = box_plot(number_of(chosen[0]), number_of(chosen[1]));
+            }
+            if (n >= 2u && job.outliers == OUTLIERS_DEVIATION) {
+                var all = Wide(0u, 0u);
+                for (var entry = local; entry < n; entry += THREADS) {
+                    let d = number_of(key_at(begin, end, half, entry));
+                    all = add_wide(all, widen(fixed(d, rule.scale)));
+                }
+                add_to_sum(0u, all);
+                workgroupBarrier();
+                bounds = deviation(mean_of(Wide(atomicLoad(&sum_low[0]), atomicLoad(&sum_high[0])), rule.unit, n));
+                workgroupBarrier();
+                if (local == 0u) {
+                    atomicStore(&sum_low[0], 0u);
+                    atomicStore(&sum_high[0], 0u);
+                }
+                workgroupBarrier();
+            }
+
+            var own_below = 0u;
+            var own_kept = 0u;
+            var own_sum = Wide(0u, 0u);
+            var own_size = Wide(0u, 0u);
+            for (var entry = local; entry < n; entry += THREADS) {
+                let d = number_of(key_at(begin, end, half, entry));
+                if (d < bounds.low) {
+                    own_below += 1u;
+                } else if (d <= bounds.high) {
+                    let step = fixed(d, rule.scale);
+                    own_kept += 1u;
+                    own_sum = add_wide(own_sum, widen(step));
+                    own_size = add_wide(own_size, widen(abs(step)));
+                }
+            }
+            atomicAdd(&below, own_below);
+            atomicAdd(&kept, own_kept);
+            add_to_sum(0u, own_sum);
+            add_to_sum(1u, own_size);
+            workgroupBarrier();
+
+            var result = TriangleStatistic(0.0, atomicLoad(&kept), 0.0);
+            if (local == 0u) {
+                shared_count = result.kept;
+            }
+            let any = workgroupUniformLoad(&shared_count);
+            if (any > 0u) {
+                result.value = mean_of(Wide(atomicLoad(&sum_low[0]), atomicLoad(&sum_high[0])), rule.unit, any);
+                result.residual = mean_of(Wide(atomicLoad(&sum_low[1]), atomicLoad(&sum_high[1])), rule.unit, any);
+                if (job.statistic == STATISTIC_MEDIAN) {
+                    let wanted = atomicLoad(&below) + median(any);
+                    select_two(begin, end, half, n, vec2u(wanted, wanted), local);
+                    result.value = number_of(chosen[0]);
+                }
+            }
+            if (local == 0u) {
+                statistics[(2u * cylinder + half) * job.faces + face] = result;
+            }
+            workgroupBarrier();
+        }
+    }
+}
