@@ -1,11 +1,29 @@
 use crate::Result;
+use crate::recording::{Recording, Summary};
+use std::path::PathBuf;
 
 /// Show what is in a recording
+///
+/// Frames that no reconstruction can use are listed, not refused: the first ten of each kind.
 #[derive(clap::Args)]
-pub(super) struct Arguments {}
+#[command(after_help = "Examples:\n  lumenmesh info pullback.mat\n  lumenmesh info recording_folder --json")]
+pub(super) struct Arguments {
+    /// A .mat file (v5, v7) or a folder with poses.csv and contours.csv
+    recording: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    json: bool,
+}
 
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
+        let summary = Summary::of(&Recording::read_unchecked(&self.recording)?);
+        if self.json {
+            println!("{:#}", serde_json::json!(summary));
+        } else {
+            println!("{}", self.recording.display());
+            print!("{summary}");
+        }
         Ok(())
     }
 }
