@@ -368,6 +368,21 @@ mod tests {
     }
 
     #[test]
+    fn a_claim_of_endless_data_costs_nothing() {
+        let mut bytes = written();
+        let tag = HEADER_BYTES + 4;
+        // The variable, its sizes and its values all claim as much as they can.
+        bytes[tag..tag + 4].copy_from_slice(&u32::MAX.to_le_bytes());
+        assert!(read_bytes(&bytes).unwrap_err().to_string().contains("the file is cut short"));
+        let mut bytes = written();
+        for size in 0..3 {
+            let at = HEADER_BYTES + 8 + 16 + 8 + 4 * size;
+            bytes[at..at + 4].copy_from_slice(&(i32::MAX as u32).to_le_bytes());
+        }
+        assert!(read_bytes(&bytes).unwrap_err().to_string().contains("a: found array sizes [2147483647,"));
+    }
+
+    #[test]
     fn a_damaged_deflate_stream_is_noticed_by_its_checksum() {
         let mut bytes = compressed();
         let last = bytes.len() - 1;

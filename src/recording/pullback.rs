@@ -91,6 +91,9 @@ fn mean(points: impl Iterator<Item = DVec2>) -> Option<DVec2> {
     (count > 0.0).then(|| sum / count)
 }
 
+/// A last point this near to the first is the first again, rounded, mm.
+const CLOSING_GAP_MM: f64 = 1e-6;
+
 /// A contour in the image.
 struct Contour {
     number: u64,
@@ -120,7 +123,9 @@ fn read_contours(path: &Path) -> Result<Vec<Contour>> {
         contour.points_mm.push(point);
     }
     for points in contours.values_mut().map(|c| &mut c.points_mm) {
-        if points.len() > 1 && points.first() == points.last() {
+        if let [first, .., last] = points[..]
+            && first.distance(last) <= CLOSING_GAP_MM
+        {
             points.pop();
         }
     }
