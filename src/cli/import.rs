@@ -1,6 +1,7 @@
 use crate::Result;
 use crate::recording::{Centreline, Pullback, Summary};
 use glam::DVec2;
+use std::io::Write;
 use std::path::PathBuf;
 
 /// Turn other data into a recording
@@ -63,7 +64,7 @@ impl PullbackArguments {
         pullback.recording.write(&self.output)?;
         let summary = Summary::of(&pullback.recording);
         let roll = "not measured: held constant along the path";
-        if self.json {
+        let text = if self.json {
             let result = serde_json::json!({
                 "output": self.output.display().to_string(),
                 "centre_mm": pullback.centre_mm.to_array(),
@@ -72,17 +73,20 @@ impl PullbackArguments {
                 "positions_mm": pullback.positions_mm,
                 "summary": summary,
             });
-            println!("{result:#}");
-            return Ok(());
-        }
-        println!("{}", self.output.display());
-        print!("{summary}");
-        println!("probe origin    {:.3}, {:.3} mm in the image", pullback.centre_mm.x, pullback.centre_mm.y);
-        println!("roll            {roll}");
-        println!("frame: number in the file, pullback position");
-        for (k, (number, z)) in pullback.frame_numbers.iter().zip(&pullback.positions_mm).enumerate() {
-            println!("  {k}: {number}, {z:.3} mm");
-        }
+            format!("{result:#}\n")
+        } else {
+            let numbers = pullback.frame_numbers.iter().zip(&pullback.positions_mm).enumerate();
+            let numbers = numbers.map(|(k, (number, z))| format!("  {k}: {number}, {z:.3} mm\n"));
+            let DVec2 { x, y } = pullback.centre_mm;
+            format!(
+                "{}\n{summary}probe origin    {x:.3}, {y:.3} mm in the image\nroll            {roll}\n\
+                 frame: number in the file, pullback position\n{}",
+                self.output.display(),
+                numbers.collect::<String>()
+            )
+        };
+        // A reader that has seen enough, such as `head`, closes the pipe.
+        let _closed = std::io::stdout().write_all(text.as_bytes());
         Ok(())
     }
 }

@@ -1,5 +1,6 @@
 use crate::Result;
 use crate::recording::{Recording, Summary};
+use std::io::Write;
 use std::path::PathBuf;
 
 /// Show what is in a recording
@@ -18,12 +19,13 @@ pub(super) struct Arguments {
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         let summary = Summary::of(&Recording::read_unchecked(&self.recording)?);
-        if self.json {
-            println!("{:#}", serde_json::json!(summary));
+        let text = if self.json {
+            format!("{:#}\n", serde_json::json!(summary))
         } else {
-            println!("{}", self.recording.display());
-            print!("{summary}");
-        }
+            format!("{}\n{summary}", self.recording.display())
+        };
+        // A reader that has seen enough, such as `head`, closes the pipe.
+        let _closed = std::io::stdout().write_all(text.as_bytes());
         Ok(())
     }
 }

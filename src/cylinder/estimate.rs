@@ -30,12 +30,14 @@ pub struct LocalEstimate {
 }
 
 impl LocalEstimate {
-    /// Distance between the first and last centre that an axis is fitted to, mm: a lumen diameter of a small
-    /// vessel, so that noise of a fraction of a millimetre turns the axis by a few degrees only.
+    /// Distance between the first and last centre that an axis is fitted to, mm: long enough that tracking noise
+    /// of half a millimetre turns the axis by a few degrees only, short enough to follow a bend, behind which the
+    /// axis lags by half of it. A step longer than this starts the path afresh.
     pub const SPAN_MM: f64 = 8.0;
     /// Centres that are kept at most, so that a catheter at rest costs no more than a moving one.
     pub const MOST_FRAMES: usize = 512;
-    /// The largest angle between axis and probe, rad: a catheter that leans more looks along the vessel's wall.
+    /// The largest angle between axis and probe, rad: centres that move further to the side show the catheter
+    /// swinging, not the way of the vessel.
     pub const MOST_LEAN_RAD: f64 = std::f64::consts::FRAC_PI_3;
 
     /// An estimate that has seen nothing yet. `sensor_from_probe` is the calibration `eTi` (thesis, Eq. 11).
@@ -55,6 +57,9 @@ impl LocalEstimate {
     }
 
     fn remember(&mut self, centre_mm: DVec3) {
+        if self.centres_mm.back().is_some_and(|last| last.distance(centre_mm) > Self::SPAN_MM) {
+            self.centres_mm.clear();
+        }
         self.centres_mm.push_back(centre_mm);
         let spans = |oldest: Option<&DVec3>| oldest.is_some_and(|c| c.distance(centre_mm) >= Self::SPAN_MM);
         while self.centres_mm.len() > Self::MOST_FRAMES || spans(self.centres_mm.get(1)) {
@@ -71,11 +76,15 @@ impl Default for LocalEstimate {
 }
 
 impl CylinderEstimator for LocalEstimate {
-    /// `None` also where the axis runs along the plane z = 0 of `{e}`, which a [`CylinderModel`] cannot express.
+    /// `None` also where the pose is not finite, or the axis runs along the plane z = 0 of `{e}`, which a [`CylinderModel`] cannot express.
     fn push(&mut self, frame: &Frame) -> Option<CylinderModel> {
         let centroid = frame.centroid_mm()?;
         let world_from_probe = frame.world_from_sensor * self.sensor_from_probe;
-        self.remember(world_from_probe.transform_point(centroid.extend(0.0)));
+        let world_centre = world_from_probe.transform_point(centroid.extend(0.0));
+        if !(world_from_probe.is_finite() && world_centre.is_finite()) {
+            return None;
+        }
+        self.remember(world_centre);
         let probe_z = world_from_probe.rotation.z_axis;
         let world_axis = self.axis(probe_z).unwrap_or(probe_z);
 
@@ -186,6 +195,26 @@ mod tests {
             let frame = frame(-f64::from(k) * 0.2, 0.0, 0.1, Pose::IDENTITY);
             let (_, axis) = world_axis(&frame, &estimate.push(&frame).unwrap());
             assert!(axis.z > 0.99, "frame {k}: {axis}");
+        }
+    }
+
+    #[test]
+    fn a_frame_that_the_tracker_lost_or_threw_away_leaves_the_others_alone() {
+        let mut estimate = LocalEstimate::default();
+        for k in 0..200 {
+            let mut frame = frame(f64::from(k) * 0.2, 0.0, 0.3, Pose::IDENTITY);
+            match k {
+                80 => frame.world_from_sensor.translation_mm.x = f64::NAN,
+                90 => frame.world_from_sensor.translation_mm += DVec3::new(20.0, 0.0, 30.0),
+                _ => {}
+            }
+            let model = estimate.push(&frame);
+            assert_eq!(model.is_none(), k == 80, "frame {k}");
+            if let Some(model) = model {
+                let (_, axis) = world_axis(&frame, &model);
+                assert!(axis.z >= 0.3_f64.cos() - 1e-9, "frame {k}: {axis}");
+                assert!(k < 140 || axis.z > 1.0 - 1e-9, "frame {k}: {axis}");
+            }
         }
     }
 

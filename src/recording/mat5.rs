@@ -1,7 +1,7 @@
 //! MAT-files of level 5 (MATLAB versions 5 to 7): named arrays of real numbers, in and out.
 //!
-//! Own code, because the crates for it do not survive bad input: one unwraps inside its decompression, the
-//! other ends quietly at the first damaged variable and prints to stdout. Layout: *MAT-File Format*, The
+//! Own code, because neither crate for it is safe on bad input: matrw 0.1.4 panics on a damaged deflate stream,
+//! matfile 0.5.0 takes a file that is cut short for one with fewer variables and prints to stdout. Layout: *MAT-File Format*, The
 //! MathWorks, chapter 1 ("MAT-File Level 5"). Memory stays in proportion to the file: an array takes room only
 //! as its bytes arrive, and deflate expands at most 1032 times.
 
