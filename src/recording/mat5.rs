@@ -1,7 +1,8 @@
 //! MAT-files of level 5 (MATLAB versions 5 to 7): named arrays of real numbers, in and out.
 //!
-//! Own code, because neither crate for it is safe on bad input: matrw 0.1.4 panics on a damaged deflate stream,
-//! matfile 0.5.0 takes a file that is cut short for one with fewer variables and prints to stdout. Layout: *MAT-File Format*, The
+//! Own code, because neither crate for it is safe on bad input: matrw 0.1.4 panics on damaged deflate streams
+//! (and refuses SciPy's header), matfile 0.5.0 takes a file that is cut short for one with fewer variables and
+//! prints to stdout. Layout: *MAT-File Format*, The
 //! MathWorks, chapter 1 ("MAT-File Level 5"). Memory stays in proportion to the file: an array takes room only
 //! as its bytes arrive, and deflate expands at most 1032 times.
 
@@ -365,6 +366,20 @@ mod tests {
             }
         }
         assert!(refused > 2000, "{refused}");
+    }
+
+    #[test]
+    fn big_endian_files_hold_the_same() {
+        let array = Array { shape: vec![2, 2, 2], values: (0..8).map(|i| f64::from(i) / 7.0).collect() };
+        let mut bytes = Vec::new();
+        write(&mut bytes, &[("a", array.clone())]).unwrap();
+        bytes[124..HEADER_BYTES].copy_from_slice(&[1, 0, b'M', b'I']);
+        // Tags, flags and sizes are words of 4 bytes, the values of 8; the name between them has no order.
+        let (head, values) = bytes[HEADER_BYTES..].split_at_mut(72);
+        let (before_name, rest) = head.split_at_mut(56);
+        before_name.chunks_mut(4).chain(rest[8..].chunks_mut(4)).for_each(<[u8]>::reverse);
+        values.chunks_mut(8).for_each(<[u8]>::reverse);
+        assert_eq!(read_bytes(&bytes).unwrap()["a"], Variable::Real(array));
     }
 
     #[test]
