@@ -1,4 +1,5 @@
 //! Recordings come back from their files as they were, and bad files say what is wrong with them.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on stops there")]
 
 mod support;
 
@@ -9,7 +10,8 @@ use lumenmesh::recording::{Frame, Recording};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;
-use support::{octave, shared};
+use std::process::Command;
+use support::shared;
 
 /// Frames with ragged contours, missing echoes, and times and cylinders on some of them.
 fn some_recording(seed: u64) -> Recording {
@@ -122,6 +124,38 @@ fn real_recordings_are_read_with_their_missing_echoes() {
     }
 }
 
+/// What Octave prints for some code run in a folder; `None`, said loudly, where there is no Octave.
+fn octave(folder: &Path, code: &str) -> Option<String> {
+    tool(folder, "octave-cli", &["--no-init-file", "--quiet", "--eval", code])
+}
+
+fn tool(folder: &Path, program: &str, arguments: &[&str]) -> Option<String> {
+    match Command::new(program).args(arguments).current_dir(folder).output() {
+        Ok(output) => {
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            Some(String::from_utf8_lossy(&output.stdout).into_owned())
+        }
+        Err(e) => absent(&format!("{program} does not run: {e}")),
+    }
+}
+
+fn absent(what: &str) -> Option<String> {
+    let required = std::env::var("LUMENMESH_REQUIRE_TOOLS").is_ok_and(|v| v == "1");
+    assert!(!required, "{what}");
+    eprintln!("SKIPPED: {what}");
+    None
+}
+
+/// What Python prints, where it has SciPy. `LUMENMESH_PYTHON` may name another one than `python3`.
+fn scipy(folder: &Path, code: &str) -> Option<String> {
+    let python = std::env::var("LUMENMESH_PYTHON").unwrap_or_else(|_| "python3".into());
+    let probe = "import importlib.util as u; print(all(u.find_spec(m) for m in ('numpy', 'scipy')))";
+    if tool(folder, &python, &["-c", probe])?.trim() != "True" {
+        return absent(&format!("{python} has no SciPy (set LUMENMESH_PYTHON)"));
+    }
+    tool(folder, &python, &["-c", code])
+}
+
 #[test]
 fn octave_reads_what_we_write() {
     let folder = tempfile::tempdir().unwrap();
@@ -130,7 +164,7 @@ fn octave_reads_what_we_write() {
     let Some(said) = octave(
         folder.path(),
         "load rec.mat; printf('%d ', size(rotm), size(Ep), size(x_data)); \
-         printf('%.17g ', rotm(2, 3, end), Ep(end, 2), nansum_(x_data(:)));",
+         printf('%.17g ', rotm(2, 3, end), Ep(end, 2), sum(x_data(! isnan(x_data))));",
     ) else {
         return;
     };
@@ -179,6 +213,24 @@ fn files_that_octave_writes_are_read() {
     let model = &read("model.mat").frames[0];
     assert_eq!(model.time_s, Some(2.5));
     assert_eq!(model.cylinder.unwrap().radius_mm, 7.0);
+}
+
+#[test]
+fn scipy_and_we_read_each_others_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = some_recording(11);
+    recording.write(&folder.path().join("ours.mat")).unwrap();
+    let code = "from scipy.io import loadmat, savemat\n\
+        m = {k: v for k, v in loadmat('ours.mat').items() if not k.startswith('__')}\n\
+        savemat('plain.mat', m)\n\
+        savemat('compressed.mat', m, do_compression=True)";
+    if scipy(folder.path(), code).is_none() {
+        return;
+    }
+    for name in ["plain.mat", "compressed.mat"] {
+        let read = Recording::read(&folder.path().join(name)).unwrap();
+        assert_eq!(difference(&recording, &read, 0.0), None, "{name}");
+    }
 }
 
 #[test]

@@ -1,11 +1,92 @@
 use crate::Result;
+use crate::recording::{Centreline, Pullback, Summary};
+use glam::DVec2;
+use std::io::Write;
+use std::path::PathBuf;
 
 /// Turn other data into a recording
 #[derive(clap::Args)]
-pub(super) struct Arguments {}
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    source: Source,
+}
+
+#[derive(clap::Subcommand)]
+enum Source {
+    Pullback(PullbackArguments),
+}
+
+/// Contours of an untracked pullback: poses are assumed along a line
+///
+/// The file has one line per wall point: frame number, x, y in the image and pullback position z, all in mm,
+/// separated by tabs, semicolons or commas, with or without column names. Frames are sorted by z and renumbered
+/// from 0. Roll about the catheter was not measured and is taken as constant.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  lumenmesh import pullback contours.csv -o pullback.mat\n  \
+    lumenmesh import pullback contours.csv -o pullback --centreline vessel.csv --centre 4.5,4.5")]
+struct PullbackArguments {
+    /// The contours
+    contours: PathBuf,
+    /// Where to write the recording: a .mat file, or a folder of CSV files
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Points x,y,z in mm along the vessel that the catheter follows [default: straight along z]
+    #[arg(long, value_name = "FILE")]
+    centreline: Option<PathBuf>,
+    /// The probe in the image, mm [default: mean of the contours' centroids]
+    #[arg(long, value_name = "X,Y", value_parser = point, allow_hyphen_values = true)]
+    centre: Option<DVec2>,
+    /// Print JSON instead of text
+    #[arg(long)]
+    json: bool,
+}
+
+fn point(text: &str) -> Result<DVec2, String> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|n| n.trim().parse().ok()).collect();
+    match numbers[..] {
+        [x, y] if x.is_finite() && y.is_finite() => Ok(DVec2::new(x, y)),
+        _ => Err("expected two numbers with a comma between, such as 4.5,4.5".into()),
+    }
+}
 
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
+        match self.source {
+            Source::Pullback(arguments) => arguments.run(),
+        }
+    }
+}
+
+impl PullbackArguments {
+    fn run(self) -> Result<()> {
+        let centreline = self.centreline.as_deref().map(Centreline::read).transpose()?;
+        let pullback = Pullback::read(&self.contours, self.centre, centreline.as_ref())?;
+        pullback.recording.write(&self.output)?;
+        let summary = Summary::of(&pullback.recording);
+        let roll = "not measured: held constant along the path";
+        let text = if self.json {
+            let result = serde_json::json!({
+                "output": self.output.display().to_string(),
+                "centre_mm": pullback.centre_mm.to_array(),
+                "roll": roll,
+                "frame_numbers": pullback.frame_numbers,
+                "positions_mm": pullback.positions_mm,
+                "summary": summary,
+            });
+            format!("{result:#}\n")
+        } else {
+            let numbers = pullback.frame_numbers.iter().zip(&pullback.positions_mm).enumerate();
+            let numbers = numbers.map(|(k, (number, z))| format!("  {k}: {number}, {z:.3} mm\n"));
+            let DVec2 { x, y } = pullback.centre_mm;
+            format!(
+                "{}\n{summary}probe origin    {x:.3}, {y:.3} mm in the image\nroll            {roll}\n\
+                 frame: number in the file, pullback position\n{}",
+                self.output.display(),
+                numbers.collect::<String>()
+            )
+        };
+        // A reader that has seen enough, such as `head`, closes the pipe.
+        let _closed = std::io::stdout().write_all(text.as_bytes());
         Ok(())
     }
 }

@@ -1,11 +1,31 @@
 use crate::Result;
+use crate::recording::{Recording, Summary};
+use std::io::Write;
+use std::path::PathBuf;
 
 /// Show what is in a recording
+///
+/// Frames that no reconstruction can use are listed, not refused: the first ten of each kind.
 #[derive(clap::Args)]
-pub(super) struct Arguments {}
+#[command(after_help = "Examples:\n  lumenmesh info pullback.mat\n  lumenmesh info recording_folder --json")]
+pub(super) struct Arguments {
+    /// A .mat file (v5, v7) or a folder with poses.csv and contours.csv
+    recording: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    json: bool,
+}
 
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
+        let summary = Summary::of(&Recording::read_unchecked(&self.recording)?);
+        let text = if self.json {
+            format!("{:#}\n", serde_json::json!(summary))
+        } else {
+            format!("{}\n{summary}", self.recording.display())
+        };
+        // A reader that has seen enough, such as `head`, closes the pipe.
+        let _closed = std::io::stdout().write_all(text.as_bytes());
         Ok(())
     }
 }

@@ -1,7 +1,8 @@
 //! MAT-files of level 5 (MATLAB versions 5 to 7): named arrays of real numbers, in and out.
 //!
-//! Own code, because the crates for it do not survive bad input: one unwraps inside its decompression, the
-//! other ends quietly at the first damaged variable and prints to stdout. Layout: *MAT-File Format*, The
+//! Own code, because neither crate for it is safe on bad input: matrw 0.1.4 panics on damaged deflate streams
+//! (and refuses SciPy's header), matfile 0.5.0 takes a file that is cut short for one with fewer variables and
+//! prints to stdout. Layout: *MAT-File Format*, The
 //! MathWorks, chapter 1 ("MAT-File Level 5"). Memory stays in proportion to the file: an array takes room only
 //! as its bytes arrive, and deflate expands at most 1032 times.
 
@@ -365,6 +366,35 @@ mod tests {
             }
         }
         assert!(refused > 2000, "{refused}");
+    }
+
+    #[test]
+    fn big_endian_files_hold_the_same() {
+        let array = Array { shape: vec![2, 2, 2], values: (0..8).map(|i| f64::from(i) / 7.0).collect() };
+        let mut bytes = Vec::new();
+        write(&mut bytes, &[("a", array.clone())]).unwrap();
+        bytes[124..HEADER_BYTES].copy_from_slice(&[1, 0, b'M', b'I']);
+        // Tags, flags and sizes are words of 4 bytes, the values of 8; the name between them has no order.
+        let (head, values) = bytes[HEADER_BYTES..].split_at_mut(72);
+        let (before_name, rest) = head.split_at_mut(56);
+        before_name.chunks_mut(4).chain(rest[8..].chunks_mut(4)).for_each(<[u8]>::reverse);
+        values.chunks_mut(8).for_each(<[u8]>::reverse);
+        assert_eq!(read_bytes(&bytes).unwrap()["a"], Variable::Real(array));
+    }
+
+    #[test]
+    fn a_claim_of_endless_data_costs_nothing() {
+        let mut bytes = written();
+        let tag = HEADER_BYTES + 4;
+        // The variable, its sizes and its values all claim as much as they can.
+        bytes[tag..tag + 4].copy_from_slice(&u32::MAX.to_le_bytes());
+        assert!(read_bytes(&bytes).unwrap_err().to_string().contains("the file is cut short"));
+        let mut bytes = written();
+        for size in 0..3 {
+            let at = HEADER_BYTES + 8 + 16 + 8 + 4 * size;
+            bytes[at..at + 4].copy_from_slice(&(i32::MAX as u32).to_le_bytes());
+        }
+        assert!(read_bytes(&bytes).unwrap_err().to_string().contains("a: found array sizes [2147483647,"));
     }
 
     #[test]

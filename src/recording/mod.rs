@@ -3,9 +3,14 @@
 mod csv;
 mod mat;
 mod mat5;
+mod pullback;
+mod summary;
 mod table;
 
-use crate::cylinder::CylinderModel;
+pub use pullback::{Centreline, Pullback};
+pub use summary::{Defects, Example, Spread, Summary};
+
+use crate::cylinder::{CylinderEstimator, CylinderModel, LocalEstimate};
 use crate::geometry::Pose;
 use crate::output::ending;
 use crate::{Error, Result};
@@ -34,6 +39,22 @@ impl Frame {
     /// Rays without an echo.
     pub fn missing_echoes(&self) -> usize {
         self.contour_mm.iter().filter(|p| p.is_nan()).count()
+    }
+
+    /// Centroid of the area inside the contour, mm in the probe's plane: a polygon through the echoes in ray
+    /// order, straight across missing ones. `None` where there is no area.
+    pub fn centroid_mm(&self) -> Option<DVec2> {
+        let origin = self.echoes_mm().next()?;
+        // Taken about one of the points, so that a contour far from the origin loses no digits.
+        let points = || self.echoes_mm().map(move |p| p - origin);
+        let (mut twice_area, mut moment, mut extent) = (0.0, DVec2::ZERO, 0.0_f64);
+        for (a, b) in points().zip(points().skip(1).chain([DVec2::ZERO])) {
+            let cross = a.perp_dot(b);
+            twice_area += cross;
+            moment += (a + b) * cross;
+            extent = extent.max(a.length_squared());
+        }
+        (twice_area.abs() > 1e-9 * extent).then(|| origin + moment / (3.0 * twice_area))
     }
 }
 
@@ -84,6 +105,21 @@ impl Recording {
             "" => csv::write(self, path),
             _ => Err(unknown_ending(path)),
         }
+    }
+
+    /// Gives every frame without a cylinder the one that [`LocalEstimate`] finds, and returns how many it found.
+    /// Frames that show no wall stay without. `sensor_from_probe` is the calibration `eTi`.
+    pub fn estimate_cylinders(&mut self, sensor_from_probe: Pose) -> usize {
+        let mut estimate = LocalEstimate::new(sensor_from_probe);
+        let mut found = 0;
+        for frame in &mut self.frames {
+            let model = estimate.push(frame);
+            if frame.cylinder.is_none() && model.is_some() {
+                frame.cylinder = model;
+                found += 1;
+            }
+        }
+        found
     }
 
     /// Refuses what no reconstruction can use: no frames, or a frame with [defects](Frame::defects).

@@ -59,13 +59,24 @@ impl Table {
         Ok(table)
     }
 
-    pub fn has_header(&self) -> bool {
-        !self.header.is_empty()
-    }
-
-    /// Columns in the first line of a table without names.
-    pub fn first_width(&self) -> usize {
-        self.first.as_ref().map_or(0, |row| row.fields.len())
+    /// Columns of a table that may lack names: found by either of two names each, or else in order from `start`.
+    pub fn columns<const N: usize>(
+        &self,
+        names: [[&'static str; 2]; N],
+        start: usize,
+    ) -> Result<[Column; N]> {
+        let mut columns = [Column { index: 0, name: "" }; N];
+        for (i, (column, [name, other])) in columns.iter_mut().zip(names).enumerate() {
+            *column = if self.header.is_empty() {
+                Column { index: start + i, name }
+            } else {
+                match self.optional_column(other)? {
+                    Some(column) => column,
+                    None => self.column(name)?,
+                }
+            };
+        }
+        Ok(columns)
     }
 
     /// The column of that name.

@@ -1,0 +1,320 @@
+//! `lumenmesh info` and `lumenmesh import` as a user runs them.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on stops there")]
+
+mod support;
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+use lumenmesh::geometry::Pose;
+use lumenmesh::recording::{Centreline, Frame, Pullback, Recording, Summary};
+use serde_json::Value;
+use std::f64::consts::TAU;
+use std::path::Path;
+use std::process::Command;
+use support::shared;
+
+/// Exit status, stdout and stderr.
+fn lumenmesh(arguments: &[&str], folder: &Path) -> (i32, String, String) {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_lumenmesh")).args(arguments).current_dir(folder).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+/// A circle of radius 5 mm seen from its middle, 0.5 mm and 0.1 s further on in each of 60 frames.
+fn some_recording() -> Recording {
+    let ray = |j: i32| DVec2::from_angle(f64::from(j) / 20.0 * TAU) * 5.0;
+    let frame = |k: i32| Frame {
+        world_from_sensor: Pose { translation_mm: DVec3::Z * (f64::from(k) * 0.5), ..Pose::IDENTITY },
+        time_s: Some(f64::from(k) * 0.1),
+        contour_mm: (0..20).map(ray).collect(),
+        cylinder: None,
+    };
+    Recording { frames: (0..60).map(frame).collect() }
+}
+
+fn kinds(summary: &Summary) -> Vec<(&str, Vec<usize>)> {
+    let frames =
+        |examples: &[lumenmesh::recording::Example]| examples.iter().filter_map(|e| e.frame).collect();
+    summary.defects.iter().map(|d| (d.field, frames(&d.examples))).collect()
+}
+
+#[test]
+fn a_summary_counts_what_is_there() {
+    let mut recording = some_recording();
+    recording.frames[4].contour_mm[3] = DVec2::NAN;
+    recording.estimate_cylinders(Pose::IDENTITY);
+    let summary = Summary::of(&recording);
+    assert_eq!((summary.frames, summary.points, summary.missing_echoes), (60, 1199, 1));
+    assert!((summary.path_length_mm - 29.5).abs() < 1e-9);
+    assert!((summary.frame_rate_hz.unwrap() - 10.0).abs() < 1e-9);
+    assert!((summary.contour_radius_mm.unwrap().median - 5.0).abs() < 1e-9);
+    assert_eq!(summary.cylinders, 60);
+    assert!((summary.cylinder_radius_mm.unwrap().median - 5.0).abs() < 1e-9);
+    assert_eq!(summary.defects, []);
+}
+
+#[test]
+fn a_summary_names_every_frame_with_a_defect() {
+    let mut recording = some_recording();
+    let pose = |k: usize, recording: &mut Recording, change: fn(&mut Pose)| {
+        change(&mut recording.frames[k].world_from_sensor);
+    };
+    pose(3, &mut recording, |p| p.rotation.x_axis.x = -1.0);
+    pose(5, &mut recording, |p| p.rotation.x_axis.y = 0.5);
+    pose(7, &mut recording, |p| p.rotation *= 0.81);
+    pose(9, &mut recording, |p| p.translation_mm.y = f64::NAN);
+    pose(20, &mut recording, |p| p.translation_mm.x = 7.0);
+    pose(30, &mut recording, |p| p.rotation = DMat3::from_rotation_z(0.5));
+    recording.frames[40].time_s = Some(1.0);
+    recording.frames[50].contour_mm[2].x = f64::NAN;
+    let summary = Summary::of(&recording);
+    let said = summary.to_string();
+    let found = kinds(&summary);
+    for (field, frames) in [
+        ("rotation", vec![3]),
+        ("rotation", vec![5]),
+        ("rotation", vec![7]),
+        ("position", vec![9]),
+        ("contour", vec![50]),
+        ("position jump", vec![20, 21]),
+        ("time", vec![40]),
+    ] {
+        assert!(found.contains(&(field, frames.clone())), "{field} {frames:?}: {said}");
+    }
+    let turns = found.iter().find(|d| d.0 == "rotation jump").unwrap();
+    assert!(turns.1.contains(&30) && turns.1.contains(&31), "{said}");
+    assert!(said.contains("frame 3: determinant -1.000"), "{said}");
+    assert!(said.contains("frame 7: axes of length 0.8100 (a quaternion of norm 0.9000)"), "{said}");
+    assert!(
+        said.contains("DEFECT: position in 1 of 60 frames, expected three finite numbers in mm"),
+        "{said}"
+    );
+    assert!(
+        said.contains("SUSPICIOUS: position jump in 2 of 60 frames, expected steps of at most 5.00 mm"),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_summary_lists_ten_frames_of_a_kind_and_counts_the_rest() {
+    let mut recording = some_recording();
+    recording.frames.iter_mut().for_each(|f| f.world_from_sensor.translation_mm.x = f64::NAN);
+    let summary = Summary::of(&recording);
+    assert_eq!((summary.defects[0].frames, summary.defects[0].examples.len()), (60, 10));
+    assert!(summary.to_string().contains("and 50 more"));
+}
+
+#[test]
+fn metres_are_noticed() {
+    let mut recording = some_recording();
+    recording.frames.iter_mut().flat_map(|f| &mut f.contour_mm).for_each(|p| *p /= 1000.0);
+    let said = Summary::of(&recording).to_string();
+    assert!(said.contains("contour radius, expected 0.2 to 100 mm"), "{said}");
+    assert!(said.contains("median 0.0050 mm: are the lengths metres?"), "{said}");
+}
+
+#[test]
+fn info_prints_text_for_people_and_json_for_machines() {
+    let folder = tempfile::tempdir().unwrap();
+    some_recording().write(&folder.path().join("rec.mat")).unwrap();
+    let (status, said, _) = lumenmesh(&["info", "rec.mat"], folder.path());
+    assert_eq!(status, 0);
+    assert!(said.contains("frames          60 (10.00 per second, 5.90 s)"), "{said}");
+    assert!(said.contains("contour radius  5.000 to 5.000, median 5.000 mm"), "{said}");
+    let (status, said, _) = lumenmesh(&["info", "rec.mat", "--json"], folder.path());
+    assert_eq!(status, 0);
+    let json: Value = serde_json::from_str(&said).unwrap();
+    assert_eq!((json["frames"].as_u64(), json["defects"].as_array().unwrap().len()), (Some(60), 0));
+}
+
+#[test]
+fn info_shows_a_recording_that_no_reconstruction_can_use() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rec");
+    some_recording().write(&path).unwrap();
+    let poses = std::fs::read_to_string(path.join("poses.csv")).unwrap();
+    let poses = poses.replacen("\n7,0.7000000000000001,0,0,3.5,0,0,0,1\n", "\n7,0.7,0,0,NaN,0,0,0,0.5\n", 1);
+    std::fs::write(path.join("poses.csv"), poses).unwrap();
+    assert!(Recording::read(&path).is_err());
+    let (status, said, _) = lumenmesh(&["info", "rec"], folder.path());
+    assert_eq!(status, 0);
+    assert!(said.contains("frame 7: [0, 0, NaN]"), "{said}");
+    assert!(said.contains("frame 7: axes of length 0.2500 (a quaternion of norm 0.5000)"), "{said}");
+}
+
+#[test]
+fn bad_data_is_status_1_and_bad_usage_status_2() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("bad.mat"), "not one").unwrap();
+    std::fs::write(folder.path().join("bad.csv"), "1\t2\t3\t0\n1\t2\tx\t0\n").unwrap();
+    for (arguments, expected) in [
+        (vec!["info", "bad.mat"], "lumenmesh: bad.mat: format: found a file without the header of one"),
+        (vec!["info", "absent.mat"], "lumenmesh: absent.mat: cannot read"),
+        (vec!["import", "pullback", "absent.csv", "-o", "rec.mat"], "lumenmesh: absent.csv: cannot read"),
+        (
+            vec!["import", "pullback", "bad.csv", "-o", "rec.mat"],
+            "bad.csv: line 2: y: found \"x\", expected a number",
+        ),
+    ] {
+        let (status, out, said) = lumenmesh(&arguments, folder.path());
+        assert_eq!((status, out.as_str()), (1, ""), "{arguments:?}");
+        assert!(said.contains(expected), "{said}");
+    }
+    for arguments in [
+        vec!["info"],
+        vec!["import", "pullback", "bad.csv"],
+        vec!["import", "pullback", "bad.csv", "-o", "rec.mat", "--centre", "4.5"],
+    ] {
+        let (status, out, said) = lumenmesh(&arguments, folder.path());
+        assert_eq!((status, out.as_str()), (2, ""), "{arguments:?}");
+        assert!(said.contains("Usage") || said.contains("two numbers with a comma"), "{said}");
+    }
+    assert_eq!(names(folder.path()), ["bad.csv", "bad.mat"]);
+}
+
+/// Ellipses about (4, 5) in the image, pulled from z = 7 down to 1, each closed by its first point again.
+fn pullback_text() -> String {
+    let mut text = String::new();
+    for (i, number) in [385, 90, 40, 12].into_iter().enumerate() {
+        for j in (0..16).chain([0]) {
+            let p =
+                DVec2::new(4.0, 5.0) + DVec2::from_angle(f64::from(j) / 16.0 * TAU) * DVec2::new(2.0, 1.5);
+            text += &format!("{number}\t{}\t{}\t{}\n", p.x, p.y, 7 - 2 * i);
+        }
+    }
+    text
+}
+
+#[test]
+fn a_pullback_becomes_frames_by_rising_position_about_one_origin() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("contours.tsv");
+    std::fs::write(&path, pullback_text()).unwrap();
+    let pullback = Pullback::read(&path, None, None).unwrap();
+    assert_eq!(pullback.frame_numbers, [12, 40, 90, 385]);
+    assert_eq!(pullback.positions_mm, [1.0, 3.0, 5.0, 7.0]);
+    assert!(pullback.centre_mm.abs_diff_eq(DVec2::new(4.0, 5.0), 1e-12));
+    for (frame, z) in pullback.recording.frames.iter().zip([1.0, 3.0, 5.0, 7.0]) {
+        assert_eq!(frame.contour_mm.len(), 16, "the point that closes the contour is dropped");
+        assert!(frame.contour_mm[0].abs_diff_eq(DVec2::new(2.0, 0.0), 1e-12));
+        assert_eq!(frame.world_from_sensor, Pose { translation_mm: DVec3::Z * z, ..Pose::IDENTITY });
+    }
+    let elsewhere = Pullback::read(&path, Some(DVec2::new(3.0, 5.0)), None).unwrap();
+    assert!(elsewhere.recording.frames[0].contour_mm[0].abs_diff_eq(DVec2::new(3.0, 0.0), 1e-12));
+    // With names, in another order and dialect, the same.
+    let mut named = "z_mm;x_mm;frame;y_mm\r\n".to_owned();
+    for line in pullback_text().lines() {
+        let [number, x, y, z] = line.split('\t').collect::<Vec<_>>()[..] else { panic!("{line}") };
+        named += &format!("{z};{x};{number};{y}\r\n").replace('.', ",");
+    }
+    std::fs::write(&path, named).unwrap();
+    assert_eq!(Pullback::read(&path, None, None).unwrap(), pullback);
+}
+
+#[test]
+fn a_pullback_along_a_centreline_follows_it_without_roll() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, line) = (folder.path().join("contours.tsv"), folder.path().join("line.csv"));
+    std::fs::write(&path, pullback_text()).unwrap();
+    // A quarter of a circle of radius 10 in the xy-plane, and a second branch that does not count.
+    let mut text = "branch,s_mm,x_mm,y_mm,z_mm,r_mm\n".to_owned();
+    for i in 0..=200 {
+        let p = DVec2::from_angle(f64::from(i) / 200.0 * TAU / 4.0) * 10.0;
+        text += &format!("0,0,{},{},3,nan\n", p.x, p.y);
+    }
+    text += "1,0,50,50,50,1\n";
+    std::fs::write(&line, text).unwrap();
+    let centreline = Centreline::read(&line).unwrap();
+    assert!((centreline.length_mm() - 10.0 * TAU / 4.0).abs() < 1e-3);
+    let pullback = Pullback::read(&path, None, Some(&centreline)).unwrap();
+    let first = &pullback.recording.frames[0].world_from_sensor;
+    for (k, frame) in pullback.recording.frames.iter().enumerate() {
+        let pose = &frame.world_from_sensor;
+        let angle = 2.0 * k as f64 / 10.0;
+        let at = DVec3::new(10.0 * angle.cos(), 10.0 * angle.sin(), 3.0);
+        assert!(pose.translation_mm.abs_diff_eq(at, 1e-3), "{k}: {pose:?}");
+        if k > 0 {
+            let along = DVec3::new(-angle.sin(), angle.cos(), 0.0);
+            assert!(pose.rotation.z_axis.abs_diff_eq(along, 1e-3), "{k}: {pose:?}");
+        }
+        // In a plane curve no roll means a constant angle to the plane's normal.
+        assert!((pose.rotation.x_axis.z - first.rotation.x_axis.z).abs() < 1e-9, "{k}: {pose:?}");
+    }
+}
+
+#[test]
+fn a_pullback_that_cannot_be_placed_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, line) = (folder.path().join("contours.tsv"), folder.path().join("line.csv"));
+    let refused = |contours: &str, points: &str| {
+        std::fs::write(&path, contours).unwrap();
+        std::fs::write(&line, points).unwrap();
+        let centreline = Centreline::read(&line);
+        let pullback = centreline.and_then(|line| Pullback::read(&path, None, Some(&line)));
+        pullback.unwrap_err().to_string()
+    };
+    let good = pullback_text();
+    let said = refused(&good, "0,0,0\n0,0,5\n");
+    assert!(
+        said.ends_with(
+            "line.csv: centreline length: found 5.000 mm, expected at least 6.000 mm (the pullback)"
+        ),
+        "{said}"
+    );
+    let said = refused(&good, "0,0,0\n0,0,0\n");
+    assert!(said.ends_with("line.csv: centreline: found 1 different points, expected at least 2"), "{said}");
+    let said = refused(&good, "0,0,0\n0,nan,0\n");
+    assert!(said.ends_with("line.csv: line 2: y: found NaN, expected a finite number"), "{said}");
+    let line = "0,0,0\n0,0,50\n";
+    let said = refused("1\t2\t3\t0\n1\t2\t4\t0.5\n", line);
+    assert!(said.ends_with("line 2: z: found 0.5, expected 0 (as before in frame 1)"), "{said}");
+    let said = refused("1\t2\t3\n", line);
+    assert!(said.ends_with("line 1: z: found a line of 3 fields, expected at least 4"), "{said}");
+    let said = refused("", line);
+    assert!(said.ends_with("contours: found no lines, expected at least one contour"), "{said}");
+    let said = refused("1\t2\t3\t0\n1\t2\t4\t0\n", line);
+    assert!(said.contains("contours: found none with an area"), "{said}");
+}
+
+#[test]
+fn real_pullbacks_are_imported_along_a_real_centreline() {
+    for (name, frames) in
+        [("ivus_rest/diastolic", 20), ("ivus_rest/systolic", 17), ("ivus_stress/diastolic", 25)]
+    {
+        let Some(contours) = shared(&format!("data/ivus_narco/{name}_contours.csv")) else { return };
+        let Some(line) = shared("data/ivus_narco/centerline_raw.csv") else { return };
+        let [contours, line] = [contours, line].map(|p| p.canonicalize().unwrap().display().to_string());
+        let folder = tempfile::tempdir().unwrap();
+        let arguments = ["import", "pullback", &contours, "-o", "rec.mat", "--centreline", &line];
+        let (status, said, errors) = lumenmesh(&arguments, folder.path());
+        assert_eq!((status, errors.as_str()), (0, ""));
+        assert!(said.contains("roll            not measured"), "{said}");
+        let recording = Recording::read(&folder.path().join("rec.mat")).unwrap();
+        assert_eq!(recording.frames.len(), frames);
+        assert!(recording.frames.iter().all(|f| f.contour_mm.len() == 500));
+        let (status, json, _) = lumenmesh(&[&arguments[..], &["--json"]].concat(), folder.path());
+        assert_eq!(status, 0);
+        let json: Value = serde_json::from_str(&json).unwrap();
+        assert_eq!(json["frame_numbers"].as_array().unwrap().len(), frames);
+        assert_eq!(json["summary"]["frames"].as_u64(), Some(frames as u64));
+        assert_eq!(names(folder.path()), ["rec.mat"]);
+    }
+}
+
+#[test]
+fn a_roll_in_the_poses_shows_as_turns() {
+    let mut recording = some_recording();
+    for (k, frame) in recording.frames.iter_mut().enumerate() {
+        frame.world_from_sensor.rotation = DMat3::from_quat(DQuat::from_rotation_z(k as f64 * 0.01));
+    }
+    let summary = Summary::of(&recording);
+    assert!((summary.turn_rad.unwrap().median - 0.01).abs() < 1e-6);
+    assert_eq!(summary.defects, []);
+}
