@@ -1,10 +1,12 @@
-// Per node: the points kept on the triangles about it, and their mean |distance|. Per cylinder: all points kept.
+// Per node: the points kept on the triangles about it, and their mean |distance|. Per cylinder: all points
+// kept, and all points in the section.
 
 @group(0) @binding(0) var<uniform> job: Job;
 @group(0) @binding(1) var<storage, read> statistics: array<TriangleStatistic>;
 @group(0) @binding(2) var<storage, read_write> support: array<u32>;
 @group(0) @binding(3) var<storage, read_write> residuals: array<f32>;
-@group(0) @binding(4) var<storage, read_write> kept: array<atomic<u32>>;
+@group(0) @binding(4) var<storage, read_write> tallies: array<atomic<u32>>;
+@group(0) @binding(5) var<storage, read> offsets: array<u32>;
 
 var<workgroup> own_kept: atomic<u32>;
 
@@ -57,6 +59,10 @@ fn main(
     }
     workgroupBarrier();
     if (local == 0u) {
-        atomicAdd(&kept[cylinder], atomicLoad(&own_kept));
+        atomicAdd(&tallies[2u * cylinder], atomicLoad(&own_kept));
+    }
+    if (node == 0u) {
+        let first = cylinder * job.faces;
+        atomicStore(&tallies[2u * cylinder + 1u], offsets[first + job.faces] - offsets[first]);
     }
 }

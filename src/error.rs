@@ -81,6 +81,10 @@ pub enum Error {
         /// What should have been there.
         expected: String,
     },
+    /// The device failed.
+    #[cfg(feature = "gpu")]
+    #[error("{0}")]
+    Gpu(crate::fit::gpu::GpuError),
 }
 
 /// The crate's result.

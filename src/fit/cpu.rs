@@ -1,7 +1,7 @@
 //! The fit on the CPU: f32 as the device computes it, or f64 as the reference.
 
 use super::passes::{
-    Face, Filter, Grid, Groups, Scalar, Section, TriangleStatistic, distance, fill, filter, group, update,
+    Face, Filter, Grid, Groups, Scalar, Section, TriangleStatistic, distance, fill, filter, group, support, update,
 };
 use super::{DeformedTube, Engine, FittedCylinder, Job};
 use crate::Result;
@@ -91,35 +91,24 @@ fn deform<T: Scalar>(
     }
 
     let kept: u64 = statistics.iter().map(|s| u64::from(s.kept)).sum();
-    let points = section.len() as u64;
-    let (support, residual_mm) = node_support(&statistics, &tube);
+    let (support, residuals) = support(&statistics, &tube);
     DeformedTube {
         tube,
         radius_mm,
         radii_mm: to_f64(&radii),
         history_mm,
         travel_mm,
+        residual_mm: residual_mm(&support, &residuals),
         support,
-        residual_mm,
-        points,
+        points: section.len() as u64,
         gated: section.gated,
-        rejected: if settings.iterations == 0 { 0 } else { points - kept },
+        rejected: if settings.iterations == 0 { 0 } else { section.len() as u64 - kept },
     }
 }
 
-/// Per node: how many points the triangles about it kept, and their mean |distance|, mm.
-fn node_support<T: Scalar>(statistics: &[TriangleStatistic<T>], tube: &Tube) -> (Vec<u32>, Vec<f64>) {
-    (0..tube.node_count())
-        .map(|node| {
-            let (mut count, mut sum) = (0_u32, 0.0);
-            for triangle in tube.incident_triangles(node) {
-                let s = &statistics[triangle];
-                count += s.kept;
-                sum += f64::from(s.kept) * s.residual.to_f64();
-            }
-            (count, if count == 0 { f64::NAN } else { sum / f64::from(count) })
-        })
-        .unzip()
+/// Residuals as a tube reports them: NaN where there are no points.
+pub(super) fn residual_mm<T: Scalar>(support: &[u32], residuals: &[T]) -> Vec<f64> {
+    support.iter().zip(residuals).map(|(&n, r)| if n == 0 { f64::NAN } else { r.to_f64() }).collect()
 }
 
 /// Runs of faces with enough points to be worth a thread's while.

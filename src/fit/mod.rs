@@ -4,11 +4,13 @@
 //! where and in which precision they compute, not in what: [`passes`] are the method's steps.
 
 mod cpu;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod passes;
 mod track;
 
 pub use cpu::CpuEngine;
-pub use track::{PlacedCylinder, Track};
+pub use track::{NearFrame, PlacedCylinder, Track};
 
 use crate::Result;
 use crate::geometry::Pose;

@@ -43,6 +43,29 @@ pub struct PlacedCylinder {
     pub estimated: bool,
 }
 
+/// A frame whose points can lie in a cylinder's section.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NearFrame {
+    /// Its points, as a range of [`Track::echoes_mm`].
+    pub echoes: Range<usize>,
+    /// `cylTi`, from its probe to the cylinder.
+    pub cylinder_from_probe: Pose,
+}
+
+/// The error of a section without points.
+pub(super) fn empty_section(frame: usize, radius_mm: f64, gated: u64, settings: &Settings) -> Error {
+    let [low, high] = settings.gate.map(|g| g * radius_mm);
+    Error::Frame {
+        frame,
+        field: "section",
+        found: format!("0 points ({gated} outside the radial gate)"),
+        expected: format!(
+            "at least 1 within {} mm of height and a radius of {low:.2} to {high:.2} mm",
+            settings.height_mm
+        ),
+    }
+}
+
 impl Track {
     /// An empty track. Frames without a cylinder model get theirs from `estimator`.
     pub fn new(sensor_from_probe: Pose, estimator: Box<dyn CylinderEstimator + Send + Sync>) -> Self {
@@ -141,14 +164,18 @@ impl Track {
         }
     }
 
-    /// The wall points of frames 0..=`frame` that can lie in the section of `frame`'s cylinder: for each frame
-    /// that comes near enough, its points in the probe's plane and `cylTi`.
+    /// The wall points of all frames in their probes' planes, mm, frame after frame.
+    pub fn echoes_mm(&self) -> &[DVec2] {
+        &self.echoes_mm
+    }
+
+    /// The frames of 0..=`frame` with wall points that can lie in the section of `frame`'s cylinder.
     ///
     /// A frame is left out only where no point of its bounding circle can pass the gate.
     ///
     /// # Errors
     /// As [`Track::cylinder`].
-    pub fn near(&self, frame: usize, settings: &Settings) -> Result<impl Iterator<Item = (&[DVec2], Pose)>> {
+    pub fn near(&self, frame: usize, settings: &Settings) -> Result<impl Iterator<Item = NearFrame>> {
         let cylinder = self.cylinder(frame)?;
         let cylinder_from_world = cylinder.world_from_cylinder.inverse();
         let half_height = settings.height_mm / 2.0;
@@ -167,7 +194,7 @@ impl Track {
             let across = placed.reach_mm + slack;
             let near =
                 centre.x.abs() <= half_height + along && centre.y.hypot(centre.z) <= greatest_radius + across;
-            near.then(|| (&self.echoes_mm[placed.echoes.clone()], cylinder_from_probe))
+            near.then(|| NearFrame { echoes: placed.echoes.clone(), cylinder_from_probe })
         }))
     }
 
@@ -179,20 +206,11 @@ impl Track {
         let radius_mm = self.cylinder(frame)?.radius_mm;
         let gate = Gate::new(settings, radius_mm);
         let mut section = Section::default();
-        for (points, cylinder_from_probe) in self.near(frame, settings)? {
-            project(points, &TubeTransform::new(&cylinder_from_probe), &gate, &mut section);
+        for NearFrame { echoes, cylinder_from_probe } in self.near(frame, settings)? {
+            project(&self.echoes_mm[echoes], &TubeTransform::new(&cylinder_from_probe), &gate, &mut section);
         }
         if section.is_empty() {
-            let [low, high] = settings.gate.map(|g| g * radius_mm);
-            return Err(Error::Frame {
-                frame,
-                field: "section",
-                found: format!("0 points ({} outside the radial gate)", section.gated),
-                expected: format!(
-                    "at least 1 within {} mm of height and a radius of {low:.2} to {high:.2} mm",
-                    settings.height_mm
-                ),
-            });
+            return Err(empty_section(frame, radius_mm, section.gated, settings));
         }
         Ok(section)
     }

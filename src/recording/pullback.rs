@@ -108,7 +108,7 @@ fn read_contours(path: &Path) -> Result<Vec<Contour>> {
     let mut contours: BTreeMap<u64, Contour> = BTreeMap::new();
     while let Some(row) = table.next_row()? {
         let number = table.count(&row, frame)?;
-        let point = |column| Ok(table.optional_number(&row, column)?.unwrap_or(f64::NAN));
+        let point = |column| -> Result<f64> { Ok(table.optional_number(&row, column)?.unwrap_or(f64::NAN)) };
         let point = DVec2::new(point(x)?, point(y)?);
         let position_mm = table.number(&row, z)?;
         if !position_mm.is_finite() {

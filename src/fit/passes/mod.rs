@@ -8,6 +8,7 @@ mod filter;
 mod group;
 mod project;
 mod scalar;
+mod support;
 mod update;
 
 pub use distance::{Face, distance};
@@ -16,4 +17,5 @@ pub use filter::{Filter, TriangleStatistic, filter};
 pub use group::{Grid, Groups, group};
 pub use project::{Gate, Section, TubeTransform, project};
 pub use scalar::{ANGLE_COEFFICIENTS, Scalar};
+pub use support::support;
 pub use update::update;

@@ -1,0 +1,212 @@
+//! Adapters, devices, and calls whose errors come back as values.
+
+use super::GpuError;
+use serde::Serialize;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+/// An adapter as a person would want it described.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AdapterDescription {
+    /// Its name.
+    pub name: String,
+    /// discrete GPU, integrated GPU, virtual GPU, CPU or other.
+    pub kind: &'static str,
+    /// Vulkan, Metal or Dx12.
+    pub backend: String,
+    /// The driver and its version.
+    pub driver: String,
+    /// Largest buffer, bytes.
+    pub max_buffer_bytes: u64,
+    /// Largest storage binding, bytes.
+    pub max_storage_binding_bytes: u64,
+    /// Workgroup memory, bytes.
+    pub max_workgroup_bytes: u32,
+    /// Most invocations a workgroup.
+    pub max_workgroup_invocations: u32,
+    /// Whether passes can be timed on the device.
+    pub timestamps: bool,
+}
+
+impl AdapterDescription {
+    fn new(adapter: &wgpu::Adapter) -> Self {
+        let (info, limits) = (adapter.get_info(), adapter.limits());
+        Self {
+            name: info.name,
+            kind: match info.device_type {
+                wgpu::DeviceType::DiscreteGpu => "discrete GPU",
+                wgpu::DeviceType::IntegratedGpu => "integrated GPU",
+                wgpu::DeviceType::VirtualGpu => "virtual GPU",
+                wgpu::DeviceType::Cpu => "CPU",
+                wgpu::DeviceType::Other => "other",
+            },
+            backend: format!("{:?}", info.backend),
+            driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+            max_buffer_bytes: limits.max_buffer_size,
+            max_storage_binding_bytes: limits.max_storage_buffer_binding_size,
+            max_workgroup_bytes: limits.max_compute_workgroup_storage_size,
+            max_workgroup_invocations: limits.max_compute_invocations_per_workgroup,
+            timestamps: adapter.features().contains(wgpu::Features::TIMESTAMP_QUERY),
+        }
+    }
+
+    /// Whether the adapter is a program on the CPU.
+    pub fn is_software(&self) -> bool {
+        self.kind == "CPU"
+    }
+
+    /// Real GPUs before software, discrete before integrated.
+    fn preference(&self) -> usize {
+        ["discrete GPU", "integrated GPU", "virtual GPU", "other", "CPU"]
+            .iter()
+            .position(|kind| *kind == self.kind)
+            .unwrap_or(usize::MAX)
+    }
+}
+
+/// The adapters of this machine, best first; the first is the one that is taken unless another is named.
+pub fn adapters() -> Vec<AdapterDescription> {
+    enumerate().into_iter().map(|(description, _)| description).collect()
+}
+
+fn enumerate() -> Vec<(AdapterDescription, wgpu::Adapter)> {
+    // Not GL: its compute is an afterthought on most drivers.
+    let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+        backends,
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    });
+    let mut found: Vec<_> = pollster::block_on(instance.enumerate_adapters(backends))
+        .into_iter()
+        .map(|adapter| (AdapterDescription::new(&adapter), adapter))
+        .collect();
+    found.sort_by_key(|(description, _)| description.preference());
+    found
+}
+
+/// What the engine needs of a device, for hosts that request their own.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Requirements {
+    /// Features: none beyond the standard's.
+    pub features: wgpu::Features,
+    /// Limits: WebGPU's defaults.
+    pub limits: wgpu::Limits,
+}
+
+impl Requirements {
+    /// What every job needs.
+    pub fn new() -> Self {
+        Self { features: wgpu::Features::empty(), limits: wgpu::Limits::default() }
+    }
+
+    /// The same with room for larger jobs: buffers and bindings as large as the adapter has them, and passes
+    /// that can be timed where it can.
+    #[must_use]
+    pub fn with_all_room(mut self, adapter: &wgpu::Adapter) -> Self {
+        let has = adapter.limits();
+        self.limits.max_buffer_size = has.max_buffer_size;
+        self.limits.max_storage_buffer_binding_size = has.max_storage_buffer_binding_size;
+        self.features |= adapter.features() & wgpu::Features::TIMESTAMP_QUERY;
+        self
+    }
+
+    /// A host's device descriptor with these requirements merged in.
+    #[must_use]
+    pub fn merged_into<'a>(&self, mut host: wgpu::DeviceDescriptor<'a>) -> wgpu::DeviceDescriptor<'a> {
+        host.required_features |= self.features;
+        host.required_limits = host.required_limits.or_better_values_from(&self.limits);
+        host
+    }
+}
+
+impl Default for Requirements {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A device and its queue.
+pub(super) struct Context {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) adapter: Option<AdapterDescription>,
+    /// What a device of our own reported outside any call.
+    report: Arc<Mutex<Option<String>>>,
+}
+
+impl Context {
+    /// A device of our own on the adapter whose name contains `name`, or on the best one.
+    pub(super) fn new(name: Option<&str>) -> Result<Self, GpuError> {
+        let found = enumerate();
+        let names = found.iter().map(|(d, _)| format!("{:?}", d.name)).collect::<Vec<_>>().join(", ");
+        let wanted = |description: &AdapterDescription| {
+            name.is_none_or(|name| description.name.to_lowercase().contains(&name.to_lowercase()))
+        };
+        let Some((description, adapter)) = found.into_iter().find(|(d, _)| wanted(d)) else {
+            return Err(GpuError::NoAdapter {
+                wanted: name.map_or("that computes".into(), |name| format!("named {name:?}")),
+                found: if names.is_empty() { "none".into() } else { names },
+            });
+        };
+        let requirements = Requirements::new().with_all_room(&adapter);
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("lumenmesh"),
+            required_features: requirements.features,
+            required_limits: requirements.limits,
+            ..Default::default()
+        }))
+        .map_err(|e| GpuError::NoDevice { adapter: description.name.clone(), reason: e.to_string() })?;
+        let report = Arc::new(Mutex::new(None));
+        let note = |text: String, report: &Mutex<Option<String>>| {
+            report.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(text);
+        };
+        let lost = Arc::clone(&report);
+        device.set_device_lost_callback(move |reason, message| note(format!("{reason:?}: {message}"), &lost));
+        let stray = Arc::clone(&report);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(error.to_string(), &stray)));
+        Ok(Self { device, queue, adapter: Some(description), report })
+    }
+
+    /// On a host's device, whose handlers stay the host's.
+    pub(super) fn of_host(device: wgpu::Device, queue: wgpu::Queue) -> Self {
+        Self { device, queue, adapter: None, report: Arc::default() }
+    }
+
+    /// Fails where the device has reported something outside any call.
+    pub(super) fn alive(&self) -> Result<(), GpuError> {
+        match self.report.lock().unwrap_or_else(PoisonError::into_inner).clone() {
+            Some(reason) => Err(GpuError::Lost { reason }),
+            None => Ok(()),
+        }
+    }
+
+    /// Waits for a submission, but not for ever.
+    pub(super) fn wait(&self, submission: wgpu::SubmissionIndex, timeout: Duration) -> Result<(), GpuError> {
+        let poll =
+            self.device.poll(wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(timeout) });
+        self.alive()?;
+        match poll {
+            Ok(_) => Ok(()),
+            Err(wgpu::PollError::Timeout) => Err(GpuError::Timeout { seconds: timeout.as_secs() }),
+            Err(other) => Err(GpuError::Lost { reason: other.to_string() }),
+        }
+    }
+}
+
+/// Runs calls on the device and returns what they made, unless the device refuses one.
+pub(super) fn checked<T>(device: &wgpu::Device, what: &str, calls: impl FnOnce() -> T) -> Result<T, GpuError> {
+    let scopes = [wgpu::ErrorFilter::Validation, wgpu::ErrorFilter::Internal, wgpu::ErrorFilter::OutOfMemory]
+        .map(|filter| device.push_error_scope(filter));
+    let made = calls();
+    let mut refused = None;
+    for scope in scopes.into_iter().rev() {
+        refused = refused.or(pollster::block_on(scope.pop()));
+    }
+    match refused {
+        None => Ok(made),
+        Some(wgpu::Error::OutOfMemory { source }) => {
+            Err(GpuError::OutOfMemory { needed: 0, reason: format!("{what}: {source}") })
+        }
+        Some(error) => Err(GpuError::Refused { what: what.into(), reason: error.to_string() }),
+    }
+}

@@ -1,0 +1,360 @@
+//! The fit on the device: WGSL passes, batched over many cylinders, one submit and one wait a batch.
+//!
+//! Three layers: [`GpuEngine::fit`](super::Engine::fit) takes a track and returns cylinders;
+//! [`GpuEngine::prepare`] makes a [`Workspace`] whose points a host puts on the device itself;
+//! [`GpuEngine::record`] puts the passes into the host's command encoder.
+
+mod context;
+mod error;
+mod job;
+mod pass;
+mod workspace;
+
+pub use context::{AdapterDescription, Requirements, adapters};
+pub use error::GpuError;
+pub use job::{DeviceCylinder, DeviceJob, DevicePair};
+pub use pass::{Access, LANES, PASSES, Pass};
+pub use workspace::Workspace;
+
+use super::cpu::residual_mm;
+use super::passes::Section;
+use super::track::empty_section;
+use super::{DeformedTube, Engine, FittedCylinder, Job};
+use crate::settings::Settings;
+use crate::tube::Tube;
+use crate::{Error, Result};
+use context::{Context, checked};
+use pass::Pipeline;
+use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::mpsc;
+use std::time::Duration;
+use workspace::{Points, Timer};
+
+/// How long a batch may take before the device is given up.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Fits cylinders on the device.
+pub struct GpuEngine {
+    context: Context,
+    pipelines: Vec<Pipeline>,
+}
+
+impl GpuEngine {
+    /// The engine on the adapter whose name contains `adapter` (without regard to case), or on the best one.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] where there is no such adapter or it refuses a shader.
+    pub fn new(adapter: Option<&str>) -> Result<Self> {
+        Self::on(Context::new(adapter)?)
+    }
+
+    /// The engine on a host's device, which must meet [`Requirements`]. No handler of the host's is replaced.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] where the device refuses a shader.
+    pub fn on_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
+        Self::on(Context::of_host(device, queue))
+    }
+
+    fn on(context: Context) -> Result<Self> {
+        let pipelines = PASSES
+            .iter()
+            .map(|pass| Pipeline::new(&context.device, pass))
+            .collect::<Result<Vec<_>, GpuError>>()?;
+        Ok(Self { context, pipelines })
+    }
+
+    /// The adapter, where the engine chose it.
+    pub fn adapter(&self) -> Option<&AdapterDescription> {
+        self.context.adapter.as_ref()
+    }
+
+    /// The device.
+    pub fn device(&self) -> &wgpu::Device {
+        &self.context.device
+    }
+
+    /// The queue.
+    pub fn queue(&self) -> &wgpu::Queue {
+        &self.context.queue
+    }
+
+    /// Builds every pipeline now rather than when it is first needed.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] where the device refuses one.
+    pub fn warm_up(&self) -> Result<()> {
+        for pipeline in &self.pipelines {
+            for lanes in LANES {
+                pipeline.get(&self.context.device, lanes)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Device memory for a tube of that radius and so many points, which the host writes to
+    /// [`Workspace::section`].
+    ///
+    /// # Errors
+    /// Where settings are invalid, and [`Error::Gpu`] where the job does not fit the device.
+    pub fn prepare(&self, points: u32, radius_mm: f64, settings: &Settings) -> Result<Workspace> {
+        settings.validate()?;
+        let points = Points::Section { count: points };
+        Ok(Workspace::new(&self.context, &self.pipelines, settings, &[radius_mm], &points, false)?)
+    }
+
+    /// Records the whole fit of a workspace into a command encoder. Nothing is submitted.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] where the device refuses a pipeline.
+    pub fn record(&self, workspace: &Workspace, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+        Ok(workspace.record(&self.context, &self.pipelines, encoder, false, &mut |_| None)?)
+    }
+
+    /// As [`GpuEngine::record`], each pass in a compute pass of its own with the timestamps that `timer` gives
+    /// for its name.
+    ///
+    /// # Errors
+    /// As [`GpuEngine::record`].
+    pub fn record_timed<'a>(
+        &self,
+        workspace: &Workspace,
+        encoder: &mut wgpu::CommandEncoder,
+        timer: &mut (dyn FnMut(&'static str) -> Option<wgpu::ComputePassTimestampWrites<'a>> + 'a),
+    ) -> Result<()> {
+        let timer: &mut Timer<'a> = timer;
+        Ok(workspace.record(&self.context, &self.pipelines, encoder, false, timer)?)
+    }
+
+    /// Runs a workspace and reads some of its buffers back, whole.
+    fn run(&self, workspace: &Workspace, names: &[&'static str], history: bool) -> Result<Vec<Vec<u8>>, GpuError> {
+        let device = &self.context.device;
+        let mut copies = Vec::new();
+        let submission = checked(device, "submission", || -> Result<_, GpuError> {
+            let mut encoder = device.create_command_encoder(&Default::default());
+            workspace.record(&self.context, &self.pipelines, &mut encoder, history, &mut |_| None)?;
+            for name in names {
+                let from = workspace.buffer(name);
+                let copy = device.create_buffer(&wgpu::BufferDescriptor {
+                    label: Some("readback"),
+                    size: from.size(),
+                    usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                    mapped_at_creation: false,
+                });
+                encoder.copy_buffer_to_buffer(from, 0, &copy, 0, Some(from.size()));
+                copies.push(copy);
+            }
+            Ok(self.context.queue.submit([encoder.finish()]))
+        })
+        .map_err(|error| match error {
+            GpuError::OutOfMemory { reason, .. } => GpuError::OutOfMemory { needed: workspace.bytes(), reason },
+            other => other,
+        })??;
+        let (sender, receiver) = mpsc::channel();
+        for copy in &copies {
+            let sender = sender.clone();
+            copy.slice(..).map_async(wgpu::MapMode::Read, move |mapped| {
+                // The receiver is gone only where the wait below has failed already.
+                let _ = sender.send(mapped);
+            });
+        }
+        self.context.wait(submission, PATIENCE)?;
+        for _ in &copies {
+            match receiver.try_recv() {
+                Ok(Ok(())) => {}
+                Ok(Err(error)) => return Err(GpuError::Lost { reason: error.to_string() }),
+                Err(_) => return Err(GpuError::Lost { reason: "a result was not mapped".into() }),
+            }
+        }
+        copies
+            .iter()
+            .map(|copy| match copy.slice(..).get_mapped_range() {
+                Ok(view) => Ok(view.to_vec()),
+                Err(error) => Err(GpuError::Lost { reason: error.to_string() }),
+            })
+            .collect()
+    }
+
+    /// Runs a workspace and takes its tubes apart.
+    fn tubes(
+        &self,
+        workspace: &Workspace,
+        settings: &Settings,
+        radii_mm: &[f64],
+        history: bool,
+    ) -> Result<Vec<DeformedTube>, GpuError> {
+        let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "history"];
+        let names = if history { &names[..] } else { &names[..6] };
+        let read = self.run(workspace, names, history)?;
+        let words = |k: usize| bytemuck::pod_collect_to_vec::<u8, u32>(&read[k]);
+        let numbers = |k: usize| bytemuck::pod_collect_to_vec::<u8, f32>(&read[k]);
+        let (radii, support, residuals) = (numbers(0), words(1), numbers(2));
+        let (travels, tallies, gated) = (words(3), words(4), words(5));
+        let history_radii = if history { numbers(6) } else { Vec::new() };
+        let tube = Tube::new(settings);
+        let (count, iterations) = (tube.node_count(), settings.iterations as usize);
+        let stride = workspace.travel_stride() as usize / 4;
+        let to_f64 = |r: &[f32]| r.iter().map(|&r| f64::from(r)).collect::<Vec<f64>>();
+        Ok(radii_mm
+            .iter()
+            .enumerate()
+            .map(|(c, &radius_mm)| {
+                let nodes = c * count..(c + 1) * count;
+                let unit = DeviceCylinder::new(settings, radius_mm).unit;
+                let (kept, points) = (u64::from(tallies[2 * c]), u64::from(tallies[2 * c + 1]));
+                let travel = |i: usize| {
+                    let (low, high) = (travels[i * stride + 2 * c], travels[i * stride + 2 * c + 1]);
+                    let sum = i64::from(high) << 32 | i64::from(low);
+                    f64::from(<f32 as super::passes::Scalar>::mean_of(sum, unit, count as u32))
+                };
+                DeformedTube {
+                    tube,
+                    radius_mm,
+                    radii_mm: to_f64(&radii[nodes.clone()]),
+                    history_mm: if history {
+                        let all = radii_mm.len() * count;
+                        (0..=iterations)
+                            .map(|i| to_f64(&history_radii[i * all..][nodes.clone()]))
+                            .collect()
+                    } else {
+                        Vec::new()
+                    },
+                    travel_mm: (0..iterations).map(travel).collect(),
+                    support: support[nodes.clone()].to_vec(),
+                    residual_mm: residual_mm(&support[nodes.clone()], &residuals[nodes]),
+                    points,
+                    gated: u64::from(gated[c]),
+                    rejected: if iterations == 0 { 0 } else { points - kept },
+                }
+            })
+            .collect())
+    }
+}
+
+/// Cylinders that are fitted together, and their pairs with frames.
+struct Batch {
+    /// Places in the job's list of frames.
+    members: Range<usize>,
+    radii_mm: Vec<f64>,
+    pairs: Vec<DevicePair>,
+    /// The track's points that its pairs refer to.
+    points: Range<usize>,
+}
+
+/// A cylinder's pairs: points of the track, and `cylTi`.
+type Pairs = Vec<super::NearFrame>;
+
+impl GpuEngine {
+    /// Cuts a job into batches that fit the device.
+    fn batches(&self, job: &Job) -> Result<Vec<Batch>> {
+        let near: Vec<(f64, Pairs)> = job
+            .frames
+            .par_iter()
+            .map(|&frame| {
+                let radius_mm = job.track.cylinder(frame)?.radius_mm;
+                Ok((radius_mm, job.track.near(frame, job.settings)?.collect()))
+            })
+            .collect::<Result<_>>()?;
+        let limits = self.context.device.limits();
+        let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let tube = Tube::new(job.settings);
+        // The largest arrays: 12 bytes a slot, 24 a face, 4 a node for each iteration of the history.
+        let history = if job.history { 4 * (u64::from(job.settings.iterations) + 1) } else { 4 };
+        let fits = |slots: u64, cylinders: u64| {
+            12 * slots <= most_bytes
+                && 24 * cylinders * tube.face_count() as u64 <= most_bytes
+                && history * cylinders * tube.node_count() as u64 <= limits.max_buffer_size
+                && cylinders <= 65_535
+        };
+        let mut batches: Vec<Batch> = Vec::new();
+        let mut slots = 0;
+        for (k, (radius_mm, pairs)) in near.into_iter().enumerate() {
+            let own: u64 = pairs.iter().map(|p| p.echoes.len() as u64).sum();
+            let open = batches.last().is_some_and(|b| fits(slots + own, b.radii_mm.len() as u64 + 1));
+            if !open {
+                batches.push(Batch { members: k..k, radii_mm: vec![], pairs: vec![], points: 0..0 });
+                slots = 0;
+            }
+            let Some(batch) = batches.last_mut() else { continue };
+            let cylinder = batch.radii_mm.len() as u32;
+            for pair in &pairs {
+                let (first, count) = (pair.echoes.start as u32, pair.echoes.len() as u32);
+                // Only a job that no device holds has 2³² slots; the workspace refuses it.
+                let slot = u32::try_from(slots).unwrap_or(u32::MAX);
+                batch.pairs.push(DevicePair::new(&pair.cylinder_from_probe, cylinder, first, count, slot));
+                slots += u64::from(count);
+                batch.points = match batch.points.is_empty() {
+                    true => pair.echoes.clone(),
+                    false => {
+                        batch.points.start.min(pair.echoes.start)..batch.points.end.max(pair.echoes.end)
+                    }
+                };
+            }
+            batch.radii_mm.push(radius_mm);
+            batch.members.end = k + 1;
+        }
+        for batch in &mut batches {
+            for pair in &mut batch.pairs {
+                pair.first_point -= batch.points.start as u32;
+            }
+        }
+        Ok(batches)
+    }
+
+    fn fit_batch(&self, job: &Job, batch: &Batch) -> Result<Vec<FittedCylinder>> {
+        let points: Vec<[f32; 2]> =
+            job.track.echoes_mm()[batch.points.clone()].iter().map(|p| [p.x as f32, p.y as f32]).collect();
+        let points = Points::Pairs { points: &points, pairs: &batch.pairs };
+        let (context, pipelines) = (&self.context, &self.pipelines);
+        let workspace =
+            Workspace::new(context, pipelines, job.settings, &batch.radii_mm, &points, job.history)?;
+        let tubes = self.tubes(&workspace, job.settings, &batch.radii_mm, job.history)?;
+        let fitted = tubes.into_iter().zip(&job.frames[batch.members.clone()]).map(|(tube, &frame)| {
+            if tube.points == 0 {
+                return Err(empty_section(frame, tube.radius_mm, tube.gated, job.settings));
+            }
+            let world_from_cylinder = job.track.cylinder(frame)?.world_from_cylinder;
+            Ok(FittedCylinder { frame, world_from_cylinder, tube })
+        });
+        fitted.collect()
+    }
+}
+
+impl Engine for GpuEngine {
+    fn name(&self) -> &str {
+        "gpu"
+    }
+
+    fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>> {
+        let mut cylinders = Vec::with_capacity(job.frames.len());
+        for batch in self.batches(job)? {
+            cylinders.extend(self.fit_batch(job, &batch)?);
+            (job.progress)(batch.members.len());
+        }
+        Ok(cylinders)
+    }
+
+    fn fit_section(&self, section: &Section<f32>, radius_mm: f64, settings: &Settings) -> Result<DeformedTube> {
+        let count = u32::try_from(section.len()).map_err(|_| GpuError::TooLarge {
+            name: "section".into(),
+            needed: 12 * section.len() as u64,
+            allowed: 12 * u64::from(u32::MAX),
+        })?;
+        let workspace = self.prepare(count, radius_mm, settings)?;
+        let rows: Vec<[f32; 3]> = (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
+        workspace.write(&self.context, "section", bytemuck::cast_slice(&rows));
+        let mut tubes = self.tubes(&workspace, settings, &[radius_mm], false)?;
+        let Some(mut tube) = tubes.pop() else {
+            return Err(GpuError::Lost { reason: "no result".into() }.into());
+        };
+        tube.gated = section.gated;
+        Ok(tube)
+    }
+}
+
+impl From<GpuError> for Error {
+    fn from(error: GpuError) -> Self {
+        Error::Gpu(error)
+    }
+}

@@ -1,0 +1,323 @@
+//! The buffers of a batch and the recording of its passes.
+
+use super::context::{Context, checked};
+use super::pass::{LANES, Pipeline};
+use super::{DeviceCylinder, DeviceJob, DevicePair, GpuError};
+use crate::settings::Settings;
+use std::collections::BTreeMap;
+
+/// Where a batch's points come from.
+pub(super) enum Points<'a> {
+    /// Points in their probes' planes and the pairs that bring them into tubes.
+    Pairs { points: &'a [[f32; 2]], pairs: &'a [DevicePair] },
+    /// So many points of one tube, in its coordinates, written to the section buffer by whoever records.
+    Section { count: u32 },
+}
+
+/// The device memory of a batch of cylinders that are fitted together.
+///
+/// [`Workspace::record`] puts the whole fit into a command encoder: nothing is submitted, waited for or read
+/// back behind the caller's back, and it can be recorded again for new points of the same number.
+pub struct Workspace {
+    job: DeviceJob,
+    iterations: u32,
+    lanes: u32,
+    long_groups: u32,
+    bytes: u64,
+    buffers: BTreeMap<&'static str, wgpu::Buffer>,
+    /// Bind groups by pass, `update`'s by iteration.
+    bind_groups: BTreeMap<&'static str, Vec<wgpu::BindGroup>>,
+    travel_stride: u64,
+}
+
+/// Receives how long passes take, if somebody wants to know.
+pub(super) type Timer<'a> = dyn FnMut(&'static str) -> Option<wgpu::ComputePassTimestampWrites<'a>> + 'a;
+
+/// The name, size in bytes and extra usage of every buffer of a job.
+pub(super) fn sizes(
+    job: &DeviceJob,
+    points: usize,
+    iterations: u32,
+    history: bool,
+    travel_stride: u64,
+) -> Vec<(&'static str, u64)> {
+    let [slots, faces, nodes, cylinders] = [
+        u64::from(job.slots),
+        u64::from(job.cylinders) * u64::from(job.faces),
+        u64::from(job.cylinders) * u64::from(job.node_count),
+        u64::from(job.cylinders),
+    ];
+    let paired = job.single == 0;
+    vec![
+        ("job", size_of::<DeviceJob>() as u64),
+        ("cylinders", 16 * cylinders),
+        ("points", 8 * points as u64),
+        ("pairs", size_of::<DevicePair>() as u64 * u64::from(job.pairs)),
+        ("section", 12 * slots),
+        ("owners", if paired { 4 * slots } else { 4 }),
+        ("gated", 4 * cylinders),
+        ("counts", 4 * faces),
+        ("places", 8 * slots),
+        ("block_sums", 4 * faces.div_ceil(1024)),
+        ("offsets", 4 * (faces + 1)),
+        ("grouped", 12 * slots),
+        ("long_faces", 4 * (1 + slots / u64::from(job.short_most + 1))),
+        ("keys", if slots > u64::from(job.short_most) { 4 * slots } else { 4 }),
+        ("primitive", 4 * nodes),
+        ("radii", 4 * nodes),
+        ("statistics", 24 * faces),
+        ("values", 8 * faces),
+        ("travels", travel_stride * u64::from(iterations.max(1))),
+        ("support", 4 * nodes),
+        ("residuals", 4 * nodes),
+        ("tallies", 8 * cylinders),
+        ("history", if history { 4 * nodes * (u64::from(iterations) + 1) } else { 4 }),
+    ]
+}
+
+/// The number of invocations that measure a short face: about half as many as it has points on average.
+pub(super) fn lanes(slots: u64, faces: u64) -> u32 {
+    let half = slots.div_ceil(2 * faces.max(1));
+    LANES.into_iter().find(|&l| u64::from(l) >= half).unwrap_or(LANES[LANES.len() - 1])
+}
+
+impl Workspace {
+    pub(super) fn new(
+        context: &Context,
+        pipelines: &[Pipeline],
+        settings: &Settings,
+        radii_mm: &[f64],
+        points: &Points,
+        history: bool,
+    ) -> Result<Self, GpuError> {
+        let faces = u64::from(settings.nodes) * u64::from(settings.levels) * radii_mm.len() as u64;
+        let (slots, point_count, pairs) = match points {
+            Points::Pairs { points, pairs } => {
+                let slots = pairs.last().map_or(0, |p| u64::from(p.first_slot) + u64::from(p.count));
+                (slots, points.len(), Some(pairs.len() as u32))
+            }
+            Points::Section { count } => (u64::from(*count), 0, None),
+        };
+        let lanes = lanes(slots, faces);
+        let cylinders = radii_mm.len() as u32;
+        let job = DeviceJob::new(settings, cylinders, slots as u32, pairs, lanes);
+        let limits = context.device.limits();
+        let alignment = u64::from(limits.min_storage_buffer_offset_alignment);
+        let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
+        let sizes = sizes(&job, point_count, settings.iterations, history, travel_stride);
+        let bytes = sizes.iter().map(|(_, size)| size).sum();
+        for (name, size) in &sizes {
+            let allowed = match *name {
+                "history" => limits.max_buffer_size,
+                _ => limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+            };
+            if *size > allowed {
+                return Err(GpuError::TooLarge { name: (*name).into(), needed: *size, allowed });
+            }
+        }
+
+        let device = &context.device;
+        let buffers: BTreeMap<&'static str, wgpu::Buffer> = checked(device, "buffers", || {
+            sizes
+                .iter()
+                .map(|&(name, size)| {
+                    use wgpu::BufferUsages as Usage;
+                    let usage = if name == "job" { Usage::UNIFORM } else { Usage::STORAGE };
+                    let buffer = device.create_buffer(&wgpu::BufferDescriptor {
+                        label: Some(name),
+                        // A binding of no bytes is an error.
+                        size: size.max(16).next_multiple_of(4),
+                        usage: usage | Usage::COPY_DST | Usage::COPY_SRC,
+                        mapped_at_creation: false,
+                    });
+                    (name, buffer)
+                })
+                .collect()
+        })
+        .map_err(|error| match error {
+            GpuError::OutOfMemory { reason, .. } => GpuError::OutOfMemory { needed: bytes, reason },
+            other => other,
+        })?;
+
+        let mut bind_groups = BTreeMap::new();
+        for pipeline in pipelines {
+            let pass = pipeline.pass;
+            let repeats = if pass.name == "update" { settings.iterations } else { 1 };
+            let groups = checked(device, pass.name, || {
+                (0..repeats)
+                    .map(|iteration| {
+                        let entries: Vec<_> = pass
+                            .bindings
+                            .iter()
+                            .enumerate()
+                            .map(|(binding, (name, _))| wgpu::BindGroupEntry {
+                                binding: binding as u32,
+                                resource: match *name {
+                                    "travels" => wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                                        buffer: &buffers[name],
+                                        offset: travel_stride * u64::from(iteration),
+                                        size: None,
+                                    }),
+                                    _ => buffers[name].as_entire_binding(),
+                                },
+                            })
+                            .collect();
+                        device.create_bind_group(&wgpu::BindGroupDescriptor {
+                            label: Some(pass.name),
+                            layout: &pipeline.layout,
+                            entries: &entries,
+                        })
+                    })
+                    .collect::<Vec<_>>()
+            })?;
+            bind_groups.insert(pass.name, groups);
+        }
+
+        let long_most = slots / u64::from(job.short_most + 1);
+        let workspace = Self {
+            job,
+            iterations: settings.iterations,
+            lanes,
+            long_groups: long_most.min(1024) as u32,
+            bytes,
+            buffers,
+            bind_groups,
+            travel_stride,
+        };
+        let device_cylinders: Vec<DeviceCylinder> =
+            radii_mm.iter().map(|&r| DeviceCylinder::new(settings, r)).collect();
+        let primitive: Vec<f32> = radii_mm
+            .iter()
+            .flat_map(|&r| std::iter::repeat_n(r as f32, job.node_count as usize))
+            .collect();
+        workspace.write(context, "job", bytemuck::bytes_of(&job));
+        workspace.write(context, "cylinders", bytemuck::cast_slice(&device_cylinders));
+        workspace.write(context, "primitive", bytemuck::cast_slice(&primitive));
+        if let Points::Pairs { points, pairs } = points {
+            workspace.write(context, "points", bytemuck::cast_slice(points));
+            workspace.write(context, "pairs", bytemuck::cast_slice(pairs));
+        }
+        Ok(workspace)
+    }
+
+    pub(super) fn write(&self, context: &Context, name: &str, bytes: &[u8]) {
+        if !bytes.is_empty() {
+            context.queue.write_buffer(&self.buffers[name], 0, bytes);
+        }
+    }
+
+    /// A buffer by its name in the pass table.
+    pub(super) fn buffer(&self, name: &str) -> &wgpu::Buffer {
+        &self.buffers[name]
+    }
+
+    /// Bytes that each iteration's travels take in their buffer.
+    pub(super) fn travel_stride(&self) -> u64 {
+        self.travel_stride
+    }
+
+    /// What the passes know of the job.
+    pub fn job(&self) -> &DeviceJob {
+        &self.job
+    }
+
+    /// Device memory of all buffers, bytes.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// r (mm), θ (rad) and z (mm) of each point, f32 ×3, where a host writes its points.
+    pub fn section(&self) -> &wgpu::Buffer {
+        &self.buffers["section"]
+    }
+
+    /// The nodes' radii, mm, f32, ring after ring: the result.
+    pub fn radii(&self) -> &wgpu::Buffer {
+        &self.buffers["radii"]
+    }
+
+    /// How many workgroups a pass needs: two dimensions and the cylinders.
+    fn groups(&self, pass: &str) -> [u32; 3] {
+        let job = &self.job;
+        let all_faces = job.cylinders * job.faces;
+        let (count, layers) = match pass {
+            "project" => (job.pairs, 1),
+            "bin" | "scatter" => (job.slots.div_ceil(256), 1),
+            "scan_reduce" | "scan_downsweep" => (all_faces.div_ceil(1024), 1),
+            "scan_spine" => (1, 1),
+            "classify" => (all_faces.div_ceil(256), 1),
+            "measure_short" => (job.faces.div_ceil(128 / self.lanes), job.cylinders),
+            "measure_long" => (self.long_groups, 1),
+            "fill_bottom" | "fill_top" => (job.faces.div_ceil(64), job.cylinders),
+            _ => (job.node_count.div_ceil(64), job.cylinders),
+        };
+        // A dimension holds 65,535 at most.
+        let rows = count.div_ceil(65_535).max(1);
+        [count.div_ceil(rows), if count == 0 { 0 } else { rows }, layers]
+    }
+
+    /// Records the whole fit: grouping, all iterations, support. The section buffer must hold the points.
+    pub(super) fn record(
+        &self,
+        context: &Context,
+        pipelines: &[Pipeline],
+        encoder: &mut wgpu::CommandEncoder,
+        history: bool,
+        timer: &mut Timer,
+    ) -> Result<(), GpuError> {
+        for name in ["counts", "gated", "travels", "tallies", "statistics"] {
+            encoder.clear_buffer(&self.buffers[name], 0, None);
+        }
+        encoder.clear_buffer(&self.buffers["long_faces"], 0, Some(4));
+        let radii_bytes = self.buffers["radii"].size();
+        encoder.copy_buffer_to_buffer(&self.buffers["primitive"], 0, self.radii(), 0, Some(radii_bytes));
+        let keep = |encoder: &mut wgpu::CommandEncoder, iteration: u32| {
+            if history {
+                let bytes = 4 * u64::from(self.job.cylinders) * u64::from(self.job.node_count);
+                let to = bytes * u64::from(iteration);
+                encoder.copy_buffer_to_buffer(self.radii(), 0, &self.buffers["history"], to, Some(bytes));
+            }
+        };
+        keep(encoder, 0);
+        let is_iterated = |name: &str| matches!(name, n if n.starts_with("measure") || n.starts_with("fill") || n == "update");
+        let once_before = pipelines.iter().filter(|p| !is_iterated(p.pass.name) && p.pass.name != "support");
+        let iterated: Vec<_> = pipelines.iter().filter(|p| is_iterated(p.pass.name)).collect();
+        let mut steps: Vec<(&Pipeline, u32)> = once_before.map(|p| (p, 0)).collect();
+        for iteration in 0..self.iterations {
+            steps.extend(iterated.iter().map(|&p| (p, iteration)));
+        }
+        steps.extend(pipelines.iter().filter(|p| p.pass.name == "support").map(|p| (p, 0)));
+
+        let mut steps = steps.into_iter().peekable();
+        while steps.peek().is_some() {
+            let timestamp_writes = steps.peek().and_then(|(p, _)| timer(p.pass.name));
+            let timed = timestamp_writes.is_some();
+            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some("lumenmesh fit"),
+                timestamp_writes,
+            });
+            let mut finished = None;
+            for (pipeline, iteration) in steps.by_ref() {
+                let name = pipeline.pass.name;
+                let [x, y, z] = self.groups(name);
+                if x > 0 && !(name == "project" && self.job.single == 1) {
+                    compute.set_pipeline(pipeline.get(&context.device, self.lanes)?);
+                    compute.set_bind_group(0, &self.bind_groups[name][iteration as usize % self.bind_groups[name].len()], &[]);
+                    compute.dispatch_workgroups(x, y, z);
+                }
+                // A timed pass stands alone; the history is copied between iterations.
+                if name == "update" && history {
+                    finished = Some(iteration + 1);
+                }
+                if timed || finished.is_some() {
+                    break;
+                }
+            }
+            drop(compute);
+            if let Some(iteration) = finished {
+                keep(encoder, iteration);
+            }
+        }
+        Ok(())
+    }
+}
