@@ -1,18 +1,14 @@
 //! The closest point of a surface.
 
+use super::tree::Tree;
 use crate::surface::Surface;
 use crate::{Error, Result};
 use glam::DVec3;
-use parry3d_f64::bounding_volume::Aabb;
-use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy};
 use rayon::prelude::*;
 
 /// Queries that one thread works through in order, each starting from its predecessor's triangle. A fixed number, so
 /// that no result depends on the number of threads.
 const RUN: usize = 256;
-
-/// Bounds are loosened by this share, so that rounding never hides a triangle that is nearer in the last bit.
-const BOUND_SLACK: f64 = 1e-14;
 
 /// The closest point of a surface to a query.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,7 +39,7 @@ enum Feature {
 ///
 /// Triangles without area are left out: what they cover belongs to their neighbours' edges.
 pub struct Locator {
-    tree: Bvh,
+    tree: Tree,
     /// Corners of each triangle in the tree, mm.
     corners_mm: Vec<[DVec3; 3]>,
     nodes: Vec<[u32; 3]>,
@@ -82,12 +78,8 @@ impl Locator {
         }
         let nodes: Vec<[u32; 3]> = original.iter().map(|&t| surface.triangles[t as usize]).collect();
         let corners_mm: Vec<[DVec3; 3]> = original.iter().map(|&t| surface.corners_mm(t as usize)).collect();
-        let boxes: Vec<Aabb> = corners_mm
-            .iter()
-            .map(|&[a, b, c]| Aabb { mins: a.min(b).min(c), maxs: a.max(b).max(c) })
-            .collect();
         let mut locator = Self {
-            tree: Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes),
+            tree: Tree::new(&corners_mm),
             face_normals: original.iter().map(|&t| normals[t as usize]).collect(),
             edge_normals: vec![[DVec3::ZERO; 3]; nodes.len()],
             node_normals: surface.node_normals(),
@@ -139,18 +131,10 @@ impl Locator {
     /// search.
     pub fn closest_all(&self, queries_mm: &[DVec3]) -> Vec<Closest> {
         let order = along_a_curve(queries_mm);
-        let found: Vec<Vec<Closest>> = order
-            .par_chunks(RUN)
-            .map(|run| {
-                let mut near = 0;
-                let one = |&query: &u32| {
-                    let query_mm = queries_mm[query as usize];
-                    near = self.nearest(query_mm, near);
-                    self.describe(query_mm, near)
-                };
-                run.iter().map(one).collect()
-            })
-            .collect();
+        let arch = pulp::Arch::new();
+        // The widest instructions that this processor has, and no contraction: the same bits everywhere.
+        let visit = |run: &[u32]| arch.dispatch(|| self.closest_along(run, queries_mm));
+        let found: Vec<Vec<Closest>> = order.par_chunks(RUN).map(visit).collect();
         let mut closest = vec![Closest::NOWHERE; queries_mm.len()];
         for (&query, found) in order.iter().zip(found.into_iter().flatten()) {
             closest[query as usize] = found;
@@ -158,20 +142,27 @@ impl Locator {
         closest
     }
 
+    #[inline(always)]
+    fn closest_along(&self, run: &[u32], queries_mm: &[DVec3]) -> Vec<Closest> {
+        let mut found = Vec::with_capacity(run.len());
+        let mut near = 0;
+        for &query in run {
+            let query_mm = queries_mm[query as usize];
+            near = self.nearest(query_mm, near);
+            found.push(self.describe(query_mm, near));
+        }
+        found
+    }
+
     /// The nearest triangle, given one to start from.
+    #[inline(always)]
     fn nearest(&self, query: DVec3, near: u32) -> u32 {
+        if !query.is_finite() {
+            return near;
+        }
         let squared =
             |t: u32| query.distance_squared(closest_on_triangle(query, self.corners_mm[t as usize]).0);
-        let best = self.tree.find_best(
-            squared(near),
-            |node, _| {
-                let bounds = node.aabb();
-                let outside = (bounds.mins - query).max(query - bounds.maxs).max(DVec3::ZERO);
-                outside.length_squared() * (1.0 - BOUND_SLACK)
-            },
-            |t, _| Some(squared(t)),
-        );
-        best.map_or(near, |(t, _)| t)
+        self.tree.nearest(query, squared(near)).unwrap_or(near)
     }
 
     fn describe(&self, query: DVec3, t: u32) -> Closest {

@@ -4,6 +4,7 @@
 //! [`DEFINITIONS`], which the command prints beside it.
 
 mod locator;
+mod tree;
 
 pub use locator::{Closest, Locator};
 
