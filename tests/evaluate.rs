@@ -113,6 +113,17 @@ fn distances_equal_those_of_an_exhaustive_search() {
     }
 }
 
+#[test]
+fn distances_to_a_fine_surface_equal_those_of_an_exhaustive_search() {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let surface = sphere(60, 10.0);
+    let mut queries: Vec<DVec3> = (0..100).map(|_| point(&mut rng, 30.0)).collect();
+    // The centre is as near to every triangle as to any other.
+    queries.extend([DVec3::ZERO, DVec3::Z * 10.0, DVec3::splat(1e3)]);
+    let worst = worst_disagreement(&surface, &surface, &queries);
+    assert!(worst < 1e-11, "{worst}");
+}
+
 /// The comparison above must be able to fail: a thousandth of a millimetre in one node shows.
 #[test]
 fn the_oracle_notices_a_moved_node() {

@@ -1,6 +1,6 @@
 //! The closest point of a surface.
 
-use super::tree::Tree;
+use super::tree::{Slot, Stack, Tree};
 use crate::surface::Surface;
 use crate::{Error, Result};
 use glam::DVec3;
@@ -40,8 +40,7 @@ enum Feature {
 /// Triangles without area are left out: what they cover belongs to their neighbours' edges.
 pub struct Locator {
     tree: Tree,
-    /// Corners of each triangle in the tree, mm.
-    corners_mm: Vec<[DVec3; 3]>,
+    /// The nodes of each triangle in the tree.
     nodes: Vec<[u32; 3]>,
     /// Which triangle of the surface each one is.
     original: Vec<u32>,
@@ -85,7 +84,6 @@ impl Locator {
             node_normals: surface.node_normals(),
             rim_edges: vec![[false; 3]; nodes.len()],
             rim_nodes: vec![false; surface.nodes_mm.len()],
-            corners_mm,
             nodes,
             original,
         };
@@ -122,7 +120,7 @@ impl Locator {
 
     /// The closest point to one query.
     pub fn closest(&self, query_mm: DVec3) -> Closest {
-        self.describe(query_mm, self.nearest(query_mm, 0))
+        self.describe(query_mm, self.nearest(query_mm, Slot::default(), &mut Vec::new()))
     }
 
     /// The closest points to many queries, in the queries' order, on all threads of the current pool.
@@ -133,44 +131,34 @@ impl Locator {
         let order = along_a_curve(queries_mm);
         let arch = pulp::Arch::new();
         // The widest instructions that this processor has, and no contraction: the same bits everywhere.
-        let visit = |run: &[u32]| arch.dispatch(|| self.closest_along(run, queries_mm));
-        let found: Vec<Vec<Closest>> = order.par_chunks(RUN).map(visit).collect();
+        let mut found = vec![Closest::NOWHERE; queries_mm.len()];
+        found.par_chunks_mut(RUN).zip(order.par_chunks(RUN)).for_each(|(found, run)| {
+            arch.dispatch(Run { locator: self, run, queries_mm, found });
+        });
         let mut closest = vec![Closest::NOWHERE; queries_mm.len()];
-        for (&query, found) in order.iter().zip(found.into_iter().flatten()) {
+        for (&query, found) in order.iter().zip(found) {
             closest[query as usize] = found;
         }
         closest
     }
 
-    #[inline(always)]
-    fn closest_along(&self, run: &[u32], queries_mm: &[DVec3]) -> Vec<Closest> {
-        let mut found = Vec::with_capacity(run.len());
-        let mut near = 0;
-        for &query in run {
-            let query_mm = queries_mm[query as usize];
-            near = self.nearest(query_mm, near);
-            found.push(self.describe(query_mm, near));
-        }
-        found
-    }
-
     /// The nearest triangle, given one to start from.
     #[inline(always)]
-    fn nearest(&self, query: DVec3, near: u32) -> u32 {
+    fn nearest(&self, query: DVec3, near: Slot, stack: &mut Stack) -> Slot {
         if !query.is_finite() {
             return near;
         }
-        let squared =
-            |t: u32| query.distance_squared(closest_on_triangle(query, self.corners_mm[t as usize]).0);
-        self.tree.nearest(query, squared(near)).unwrap_or(near)
+        let (point, _) = closest_on_triangle(query, self.tree.corners_mm(near));
+        self.tree.nearest(query, query.distance_squared(point), stack).unwrap_or(near)
     }
 
-    fn describe(&self, query: DVec3, t: u32) -> Closest {
+    #[inline(always)]
+    fn describe(&self, query: DVec3, slot: Slot) -> Closest {
         if !query.is_finite() {
             return Closest::NOWHERE;
         }
-        let t = t as usize;
-        let (point, feature) = closest_on_triangle(query, self.corners_mm[t]);
+        let t = self.tree.triangle(slot);
+        let (point, feature) = closest_on_triangle(query, self.tree.corners_mm(slot));
         let (normal, on_rim) = match feature {
             Feature::Face => (self.face_normals[t], false),
             Feature::Edge(k) => (self.edge_normals[t][k], self.rim_edges[t][k]),
@@ -190,6 +178,30 @@ impl Locator {
     }
 }
 
+/// Queries to be worked through in this order.
+struct Run<'a> {
+    locator: &'a Locator,
+    run: &'a [u32],
+    queries_mm: &'a [DVec3],
+    /// As many as there are queries in the run.
+    found: &'a mut [Closest],
+}
+
+impl pulp::WithSimd for Run<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let mut stack = Vec::new();
+        let mut near = Slot::default();
+        for (&query, found) in self.run.iter().zip(self.found) {
+            let query_mm = self.queries_mm[query as usize];
+            near = self.locator.nearest(query_mm, near, &mut stack);
+            *found = self.locator.describe(query_mm, near);
+        }
+    }
+}
+
 impl Closest {
     const NOWHERE: Self = Self {
         point_mm: DVec3::NAN,
@@ -201,7 +213,7 @@ impl Closest {
 }
 
 /// By Voronoi regions (Ericson, *Real-Time Collision Detection*, 2005, 5.1.5).
-#[inline]
+#[inline(always)]
 fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> (DVec3, Feature) {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let (d1, d2) = (ab.dot(ap), ac.dot(ap));

@@ -2,7 +2,8 @@
 //! meets a branch's boxes, or a leaf's triangles, side by side in vector registers.
 //!
 //! Boxes are in single precision and a little too large, triangles in double: which triangle is nearest is decided in
-//! double precision alone. Against parry's binary tree in double precision this takes a third of the time.
+//! double precision alone. `benches/distance.rs` has this against parry3d, whose binary tree is the reason for an own
+//! one: in double precision it takes longer per query than in single.
 
 use glam::DVec3;
 
@@ -28,17 +29,26 @@ struct Branch {
     children: [u32; BRANCHING],
 }
 
-/// Triangles by axis and lane; lanes to spare repeat the first triangle.
+/// Corners by axis and lane; lanes to spare repeat the first triangle. No more than that: waiting for memory takes
+/// longer than working out normals and lengths anew.
+#[repr(align(64))]
 #[derive(Default)]
 struct Leaf {
     a: [[f64; LEAF]; 3],
-    ab: [[f64; LEAF]; 3],
-    ac: [[f64; LEAF]; 3],
-    normal: [[f64; LEAF]; 3],
-    /// One over the squared lengths of ab, ac and bc.
-    inverse: [[f64; LEAF]; 3],
+    b: [[f64; LEAF]; 3],
+    c: [[f64; LEAF]; 3],
     triangles: [u32; LEAF],
 }
+
+/// Where a triangle is: its leaf and its lane in it.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Slot {
+    leaf: u32,
+    lane: u32,
+}
+
+/// Children to visit yet and their squared distances, kept from query to query for its memory.
+pub(super) type Stack = Vec<(f32, u32)>;
 
 pub(super) struct Tree {
     centre: DVec3,
@@ -92,15 +102,29 @@ impl Tree {
         number as u32
     }
 
+    /// The corners of a triangle, mm.
+    #[inline(always)]
+    pub(super) fn corners_mm(&self, slot: Slot) -> [DVec3; 3] {
+        let (leaf, lane) = (&self.leaves[slot.leaf as usize], slot.lane as usize % LEAF);
+        let of = |v: &[[f64; LEAF]; 3]| DVec3::new(v[0][lane], v[1][lane], v[2][lane]);
+        [of(&leaf.a), of(&leaf.b), of(&leaf.c)]
+    }
+
+    /// Its number.
+    #[inline(always)]
+    pub(super) fn triangle(&self, slot: Slot) -> usize {
+        self.leaves[slot.leaf as usize].triangles[slot.lane as usize % LEAF] as usize
+    }
+
     /// The nearest triangle, of equally near ones the one with the lowest number, so that it does not depend on `near`:
     /// the squared distance of some triangle.
     #[inline(always)]
-    pub(super) fn nearest(&self, query: DVec3, near: f64) -> Option<u32> {
+    pub(super) fn nearest(&self, query: DVec3, near: f64, stack: &mut Stack) -> Option<Slot> {
         // Room for the last bits, in which a leaf's own formula may differ.
         let mut best = near * (1.0 + 1e-9) + (1e-13 * self.size).powi(2);
         let mut found = None;
         let q = (query - self.centre).as_vec3().to_array();
-        let mut stack: Vec<(f32, u32)> = Vec::with_capacity(64);
+        stack.clear();
         let mut bound = best as f32 * BOUND_SLACK;
         let mut next = 0;
         loop {
@@ -110,18 +134,24 @@ impl Tree {
                 let first = stack.len();
                 for (&child, distance) in branch.children.iter().zip(distances) {
                     if distance <= bound && child != NO_CHILD {
+                        // Nearest last, to be taken first.
+                        let mut at = stack.len();
                         stack.push((distance, child));
+                        while at > first && stack[at - 1].0 < distance {
+                            stack.swap(at, at - 1);
+                            at -= 1;
+                        }
                     }
                 }
-                // Nearest last, to be taken first.
-                stack[first..].sort_unstable_by(|p, q| q.0.total_cmp(&p.0));
             } else {
-                let leaf = &self.leaves[(next & !IS_LEAF) as usize];
-                for (&triangle, distance) in
-                    leaf.triangles.iter().zip(leaf.squared_distances(query.to_array()))
-                {
-                    if distance < best || (distance == best && found.is_none_or(|t| triangle < t)) {
-                        (best, found) = (distance, Some(triangle));
+                let number = next & !IS_LEAF;
+                let leaf = &self.leaves[number as usize];
+                let distances = leaf.squared_distances(query.to_array());
+                for (lane, distance) in (0..).zip(distances) {
+                    let slot = Slot { leaf: number, lane };
+                    let lower = |other| self.triangle(slot) < self.triangle(other);
+                    if distance < best || (distance == best && found.is_none_or(lower)) {
+                        (best, found) = (distance, Some(slot));
                         bound = best as f32 * BOUND_SLACK;
                     }
                 }
@@ -178,16 +208,10 @@ impl Leaf {
         for lane in 0..LEAF {
             let triangle = group.get(lane).copied().unwrap_or(group[0]);
             let [a, b, c] = corners[triangle as usize];
-            let (ab, ac) = (b - a, c - a);
-            let normal = ab.cross(ac).normalize_or_zero();
-            let inverse =
-                DVec3::new(ab.length_squared(), ac.length_squared(), (c - b).length_squared()).recip();
             for axis in 0..3 {
                 leaf.a[axis][lane] = a[axis];
-                leaf.ab[axis][lane] = ab[axis];
-                leaf.ac[axis][lane] = ac[axis];
-                leaf.normal[axis][lane] = normal[axis];
-                leaf.inverse[axis][lane] = inverse[axis];
+                leaf.b[axis][lane] = b[axis];
+                leaf.c[axis][lane] = c[axis];
             }
             leaf.triangles[lane] = triangle;
         }
@@ -205,26 +229,29 @@ impl Leaf {
             let less = |u: [f64; 3], t: f64, v: [f64; 3]| [u[0] - t * v[0], u[1] - t * v[1], u[2] - t * v[2]];
             let at_most = |x: f64, y: f64| if x < y { x } else { y };
             let share = |x: f64| if x > 0.0 { at_most(x, 1.0) } else { 0.0 };
-            let (ab, ac) = (of(&self.ab), of(&self.ac));
-            let ap = less(q, 1.0, of(&self.a));
-            let (bc, bp) = (less(ac, 1.0, ab), less(ap, 1.0, ab));
+            let (a, b, c) = (of(&self.a), of(&self.b), of(&self.c));
+            let (ab, ac, bc) = (less(b, 1.0, a), less(c, 1.0, a), less(c, 1.0, b));
+            let (ap, bp) = (less(q, 1.0, a), less(q, 1.0, b));
             let (p1, p2) = (dot(ap, ab), dot(ap, ac));
-            let to_side = |p: [f64; 3], along: f64, side: [f64; 3], k: usize| {
-                let rest = less(p, share(along * self.inverse[k][lane]), side);
+            let (g11, g12, g22) = (dot(ab, ab), dot(ab, ac), dot(ac, ac));
+            let to_side = |p: [f64; 3], along: f64, side: [f64; 3], length: f64| {
+                let rest = less(p, share(along / length), side);
                 dot(rest, rest)
             };
             let sides = at_most(
-                at_most(to_side(ap, p1, ab, 0), to_side(ap, p2, ac, 1)),
-                to_side(bp, dot(bp, bc), bc, 2),
+                at_most(to_side(ap, p1, ab, g11), to_side(ap, p2, ac, g22)),
+                to_side(bp, dot(bp, bc), bc, dot(bc, bc)),
             );
             // Barycentric coordinates, but for a positive factor.
-            let (g11, g12, g22) = (dot(ab, ab), dot(ab, ac), dot(ac, ac));
             let v = g22 * p1 - g12 * p2;
             let w = g11 * p2 - g12 * p1;
             let u = (g11 * g22 - g12 * g12) - v - w;
-            let height = dot(ap, of(&self.normal));
+            let normal =
+                [ab[1] * ac[2] - ab[2] * ac[1], ab[2] * ac[0] - ab[0] * ac[2], ab[0] * ac[1] - ab[1] * ac[0]];
+            let height = dot(ap, normal);
             let inside = (v >= 0.0) & (w >= 0.0) & (u >= 0.0);
-            *squared = if inside { at_most(height * height, sides) } else { sides };
+            let to_plane = height * height / dot(normal, normal);
+            *squared = if inside { at_most(to_plane, sides) } else { sides };
         }
         squared
     }
