@@ -1,5 +1,7 @@
 //! The fitting error: distances against known shapes, an exhaustive oracle and VTK; and the command that prints them.
 
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
 mod support;
 
 use glam::DVec3;

@@ -1,5 +1,7 @@
 //! Surfaces: what the files hold, and what a surface says about itself.
 
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
 mod support;
 
 use glam::DVec3;

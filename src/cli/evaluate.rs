@@ -95,7 +95,7 @@ impl Arguments {
         println!("{:<22}{:>12}{:>11.1}%", "truth area covered", "", 100.0 * evaluation.covered_area_share);
         println!();
         for (name, definition) in DEFINITIONS {
-            println!("{name}: {definition}");
+            println!("{name}\n    {definition}");
         }
         if let Some(out) = &self.out {
             println!();

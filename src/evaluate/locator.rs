@@ -58,13 +58,6 @@ impl Locator {
     /// [`Error::Surface`] where an index is out of range, a node is not finite or no triangle has an area.
     pub fn new(surface: &Surface) -> Result<Self> {
         surface.check()?;
-        if let Some(node) = surface.nodes_mm.iter().position(|p| !p.is_finite()) {
-            return Err(Error::Surface {
-                what: format!("position of node {node}"),
-                found: surface.nodes_mm[node].to_string(),
-                expected: "finite coordinates".into(),
-            });
-        }
         let normals = surface.triangle_normals();
         let original: Vec<u32> =
             (0..surface.triangles.len() as u32).filter(|&t| normals[t as usize] != DVec3::ZERO).collect();

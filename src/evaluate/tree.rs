@@ -189,13 +189,12 @@ impl Branch {
     #[inline(always)]
     fn squared_distances(&self, q: [f32; 3]) -> [f32; BRANCHING] {
         let mut sum = [0.0; BRANCHING];
-        for axis in 0..3 {
-            for k in 0..BRANCHING {
-                let below = self.low[axis][k] - q[axis];
-                let above = q[axis] - self.high[axis][k];
+        for ((low, high), q) in self.low.iter().zip(&self.high).zip(q) {
+            for ((sum, low), high) in sum.iter_mut().zip(low).zip(high) {
+                let (below, above) = (low - q, q - high);
                 let outside = if below > above { below } else { above };
                 let outside = if outside > 0.0 { outside } else { 0.0 };
-                sum[k] += outside * outside;
+                *sum += outside * outside;
             }
         }
         sum
