@@ -28,6 +28,9 @@ pub struct NodeArray {
 }
 
 /// A triangle surface.
+///
+/// What is read has passed [`check`](Self::check), and what is written or evaluated must. Methods that measure a
+/// surface made in memory rely on it too: they index by its triangles.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Surface {
     /// Node positions, mm.
