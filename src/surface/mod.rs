@@ -28,6 +28,9 @@ pub struct NodeArray {
 }
 
 /// A triangle surface.
+///
+/// What is read has passed [`check`](Self::check), and what is written or evaluated must. Methods that measure a
+/// surface made in memory rely on it too: they index by its triangles.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Surface {
     /// Node positions, mm.
@@ -77,10 +80,6 @@ impl Surface {
         if surface.triangles.is_empty() {
             return Err(Error::input(path, "triangles", "none", "at least one"));
         }
-        if let Some(i) = surface.nodes_mm.iter().position(|p| !p.is_finite()) {
-            let found = surface.nodes_mm[i];
-            return Err(Error::input(path, format!("position of node {i}"), found, "finite coordinates"));
-        }
         surface.check().map_err(|error| match error {
             Error::Surface { what, found, expected } => Error::input(path, what, found, expected),
             other => other,
@@ -92,8 +91,8 @@ impl Surface {
     /// STL (single precision, triangles only) keep positions to the last bit.
     ///
     /// # Errors
-    /// [`Error::UnknownEnding`]; [`Error::Surface`] where an index or an array's length is wrong; [`Error::Write`], and
-    /// no partial file is left behind.
+    /// [`Error::UnknownEnding`]; [`Error::Surface`] where [`check`](Self::check) finds fault; [`Error::Write`], and no
+    /// partial file is left behind.
     pub fn write(&self, path: &Path) -> Result<()> {
         let write = match output::ending(path).as_str() {
             "vtp" => vtp::write,
@@ -106,11 +105,19 @@ impl Surface {
         output::write_atomically(path, |w| write(self, w))
     }
 
-    /// That every triangle's indices name nodes and every array has one value per node.
+    /// That positions are finite, every triangle's indices name nodes and every array has a name of its own and one
+    /// value per node.
     ///
     /// # Errors
     /// [`Error::Surface`] with the first that does not.
     pub fn check(&self) -> Result<()> {
+        if let Some(node) = self.nodes_mm.iter().position(|p| !p.is_finite()) {
+            return Err(Error::Surface {
+                what: format!("position of node {node}"),
+                found: self.nodes_mm[node].to_string(),
+                expected: "finite coordinates".into(),
+            });
+        }
         let nodes = self.nodes_mm.len();
         for (t, corners) in self.triangles.iter().enumerate() {
             if let Some(corner) = corners.iter().find(|&&c| c as usize >= nodes) {

@@ -1,0 +1,267 @@
+//! The closest point of a surface.
+
+use super::tree::{Slot, Stack, Tree};
+use crate::surface::Surface;
+use crate::{Error, Result};
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Queries that one thread works through in order, each starting from its predecessor's triangle. A fixed number, so
+/// that no result depends on the number of threads.
+const RUN: usize = 256;
+
+/// The closest point of a surface to a query.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Closest {
+    /// Where it is, mm.
+    pub point_mm: DVec3,
+    /// Its distance, mm; NaN for a query that is not finite.
+    pub distance_mm: f64,
+    /// The same with a sign: positive where the query lies on the side that the surface's normals point to. The normal
+    /// at an edge is the sum of its triangles' normals, at a node their sum weighted by angle, which gives the right
+    /// sign everywhere about a closed, consistently oriented surface (Bærentzen and Aanæs, 2005).
+    pub signed_distance_mm: f64,
+    /// The triangle that it lies on.
+    pub triangle: u32,
+    /// Whether it lies on an edge that belongs to one triangle only.
+    pub on_rim: bool,
+}
+
+/// What part of a triangle a point is on: its inside, the edge that starts at corner k, or corner k.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Feature {
+    Face,
+    Edge(usize),
+    Corner(usize),
+}
+
+/// Finds the closest point of a surface, through a tree of bounding boxes over its triangles.
+///
+/// Triangles without area are left out: what they cover belongs to their neighbours' edges.
+pub struct Locator {
+    tree: Tree,
+    /// The nodes of each triangle in the tree.
+    nodes: Vec<[u32; 3]>,
+    /// Which triangle of the surface each one is.
+    original: Vec<u32>,
+    face_normals: Vec<DVec3>,
+    edge_normals: Vec<[DVec3; 3]>,
+    node_normals: Vec<DVec3>,
+    rim_edges: Vec<[bool; 3]>,
+    rim_nodes: Vec<bool>,
+}
+
+impl Locator {
+    /// Builds the tree.
+    ///
+    /// # Errors
+    /// [`Error::Surface`] where an index is out of range, a node is not finite or no triangle has an area.
+    pub fn new(surface: &Surface) -> Result<Self> {
+        surface.check()?;
+        let normals = surface.triangle_normals();
+        let original: Vec<u32> =
+            (0..surface.triangles.len() as u32).filter(|&t| normals[t as usize] != DVec3::ZERO).collect();
+        if original.is_empty() {
+            return Err(Error::Surface {
+                what: "triangles with an area".into(),
+                found: "none".into(),
+                expected: "at least one".into(),
+            });
+        }
+        let nodes: Vec<[u32; 3]> = original.iter().map(|&t| surface.triangles[t as usize]).collect();
+        let corners_mm: Vec<[DVec3; 3]> = original.iter().map(|&t| surface.corners_mm(t as usize)).collect();
+        let mut locator = Self {
+            tree: Tree::new(&corners_mm),
+            face_normals: original.iter().map(|&t| normals[t as usize]).collect(),
+            edge_normals: vec![[DVec3::ZERO; 3]; nodes.len()],
+            node_normals: surface.node_normals(),
+            rim_edges: vec![[false; 3]; nodes.len()],
+            rim_nodes: vec![false; surface.nodes_mm.len()],
+            nodes,
+            original,
+        };
+        locator.look_along_edges();
+        Ok(locator)
+    }
+
+    fn look_along_edges(&mut self) {
+        let mut edges: Vec<([u32; 2], u32, usize)> = Vec::with_capacity(3 * self.nodes.len());
+        for (t, nodes) in self.nodes.iter().enumerate() {
+            for k in 0..3 {
+                let (a, b) = (nodes[k], nodes[(k + 1) % 3]);
+                edges.push(([a.min(b), a.max(b)], t as u32, k));
+            }
+        }
+        edges.sort_unstable();
+        for edge in edges.chunk_by(|p, q| p.0 == q.0) {
+            let normal: DVec3 = edge.iter().map(|&(_, t, _)| self.face_normals[t as usize]).sum();
+            for &([a, b], t, k) in edge {
+                self.edge_normals[t as usize][k] = normal;
+                if edge.len() == 1 {
+                    self.rim_edges[t as usize][k] = true;
+                    self.rim_nodes[a as usize] = true;
+                    self.rim_nodes[b as usize] = true;
+                }
+            }
+        }
+    }
+
+    /// The unsigned distance, mm; NaN for a query that is not finite.
+    pub fn distance_mm(&self, query_mm: DVec3) -> f64 {
+        self.closest(query_mm).distance_mm
+    }
+
+    /// The closest point to one query.
+    pub fn closest(&self, query_mm: DVec3) -> Closest {
+        self.describe(query_mm, self.nearest(query_mm, Slot::default(), &mut Vec::new()))
+    }
+
+    /// The closest points to many queries, in the queries' order, on all threads of the current pool.
+    ///
+    /// Queries are visited along a space-filling curve: each then lies near its predecessor, whose triangle bounds the
+    /// search.
+    pub fn closest_all(&self, queries_mm: &[DVec3]) -> Vec<Closest> {
+        let order = along_a_curve(queries_mm);
+        let arch = pulp::Arch::new();
+        // The widest instructions that this processor has, and no contraction: the same bits everywhere.
+        let mut found = vec![Closest::NOWHERE; queries_mm.len()];
+        found.par_chunks_mut(RUN).zip(order.par_chunks(RUN)).for_each(|(found, run)| {
+            arch.dispatch(Run { locator: self, run, queries_mm, found });
+        });
+        let mut closest = vec![Closest::NOWHERE; queries_mm.len()];
+        for (&query, found) in order.iter().zip(found) {
+            closest[query as usize] = found;
+        }
+        closest
+    }
+
+    /// The nearest triangle, given one to start from.
+    #[inline(always)]
+    fn nearest(&self, query: DVec3, near: Slot, stack: &mut Stack) -> Slot {
+        if !query.is_finite() {
+            return near;
+        }
+        let (point, _) = closest_on_triangle(query, self.tree.corners_mm(near));
+        self.tree.nearest(query, query.distance_squared(point), stack).unwrap_or(near)
+    }
+
+    #[inline(always)]
+    fn describe(&self, query: DVec3, slot: Slot) -> Closest {
+        if !query.is_finite() {
+            return Closest::NOWHERE;
+        }
+        let t = self.tree.triangle(slot);
+        let (point, feature) = closest_on_triangle(query, self.tree.corners_mm(slot));
+        let (normal, on_rim) = match feature {
+            Feature::Face => (self.face_normals[t], false),
+            Feature::Edge(k) => (self.edge_normals[t][k], self.rim_edges[t][k]),
+            Feature::Corner(k) => {
+                let node = self.nodes[t][k] as usize;
+                (self.node_normals[node], self.rim_nodes[node])
+            }
+        };
+        let distance = query.distance(point);
+        Closest {
+            point_mm: point,
+            distance_mm: distance,
+            signed_distance_mm: if (query - point).dot(normal) < 0.0 { -distance } else { distance },
+            triangle: self.original[t],
+            on_rim,
+        }
+    }
+}
+
+/// Queries to be worked through in this order.
+struct Run<'a> {
+    locator: &'a Locator,
+    run: &'a [u32],
+    queries_mm: &'a [DVec3],
+    /// As many as there are queries in the run.
+    found: &'a mut [Closest],
+}
+
+impl pulp::WithSimd for Run<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let mut stack = Vec::new();
+        let mut near = Slot::default();
+        for (&query, found) in self.run.iter().zip(self.found) {
+            let query_mm = self.queries_mm[query as usize];
+            near = self.locator.nearest(query_mm, near, &mut stack);
+            *found = self.locator.describe(query_mm, near);
+        }
+    }
+}
+
+impl Closest {
+    const NOWHERE: Self = Self {
+        point_mm: DVec3::NAN,
+        distance_mm: f64::NAN,
+        signed_distance_mm: f64::NAN,
+        triangle: 0,
+        on_rim: false,
+    };
+}
+
+/// By Voronoi regions (Ericson, *Real-Time Collision Detection*, 2005, 5.1.5).
+#[inline(always)]
+fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> (DVec3, Feature) {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return (a, Feature::Corner(0));
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return (b, Feature::Corner(1));
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        return (a + ab * (d1 / (d1 - d3)), Feature::Edge(0));
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return (c, Feature::Corner(2));
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        return (a + ac * (d2 / (d2 - d6)), Feature::Edge(2));
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 >= d3 && d5 >= d6 {
+        return (b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6))), Feature::Edge(1));
+    }
+    let sum = va + vb + vc;
+    (a + ab * (vb / sum) + ac * (vc / sum), Feature::Face)
+}
+
+/// The queries in the order of a Morton curve through their bounding box.
+fn along_a_curve(queries: &[DVec3]) -> Vec<u32> {
+    let low = queries.iter().copied().fold(DVec3::INFINITY, DVec3::min);
+    let high = queries.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+    let scale = f64::from(1 << 21) / (high - low).max_element();
+    let mut keyed: Vec<(u64, u32)> = (0u32..)
+        .zip(queries)
+        .map(|(k, &q)| {
+            // Casts saturate, and what is not finite becomes 0 or the far end: the order is about speed only.
+            let [x, y, z] =
+                ((q - low) * scale).to_array().map(|x| every_third_bit((x as u64).min((1 << 21) - 1)));
+            (x | y << 1 | z << 2, k)
+        })
+        .collect();
+    keyed.par_sort_unstable();
+    keyed.into_iter().map(|(_, k)| k).collect()
+}
+
+/// Spreads the low 21 bits over every third bit.
+fn every_third_bit(x: u64) -> u64 {
+    let x = (x | x << 32) & 0x001f_0000_0000_ffff;
+    let x = (x | x << 16) & 0x001f_0000_ff00_00ff;
+    let x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+    let x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+    (x | x << 2) & 0x1249_2492_4924_9249
+}
