@@ -45,9 +45,9 @@ fn main(
     var outside = 0u;
     for (var i = local; i < pair.count; i += 64u) {
         let p = points[pair.first_point + i];
-        let x = pair.x_x * p.x + pair.y_x * p.y + pair.origin_x;
-        let y = pair.x_y * p.x + pair.y_y * p.y + pair.origin_y;
-        let z = pair.x_z * p.x + pair.y_z * p.y + pair.origin_z;
+        let x = (pair.origin_x + pair.x_x * p.x) + pair.y_x * p.y;
+        let y = (pair.origin_y + pair.x_y * p.x) + pair.y_y * p.y;
+        let z = (pair.origin_z + pair.x_z * p.x) + pair.y_z * p.y;
         let r = sqrt(x * x + y * y);
         let within = -job.half_height <= z && z <= job.half_height;
         let passes = within && cylinder.gate_low <= r && r <= cylinder.gate_high;

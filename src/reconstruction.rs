@@ -1,6 +1,6 @@
 //! The whole way from a recording to a vessel.
 
-use crate::fit::{Engine, FittedCylinder, Job, Track, merged_frames};
+use crate::fit::{Engine, EngineDescription, FittedCylinder, Job, Track, merged_frames};
 use crate::merge::Stitched;
 use crate::output::write_atomically;
 use crate::recording::Recording;
@@ -25,7 +25,7 @@ pub struct Reconstruction {
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
     /// The engine that fitted the cylinders.
-    pub engine: String,
+    pub engine: EngineDescription,
     /// Threads that the CPU part could use.
     pub threads: usize,
     /// Frames of the recording.
@@ -113,7 +113,7 @@ impl Reconstruction {
         let sum = |of: &dyn Fn(&FittedCylinder) -> u64| cylinders.iter().map(of).sum::<u64>();
         let rejected = sum(&|c| c.tube.rejected);
         let report = Report {
-            engine: engine.name().to_owned(),
+            engine: engine.describe(),
             threads: rayon::current_num_threads(),
             frames: track.len(),
             estimated_cylinders: track.estimated_count(),

@@ -30,6 +30,9 @@ pub enum Backend {
     Cpu,
     /// On the CPU in f64: slower, the yardstick of the others.
     Reference,
+    /// On the GPU, or on whatever software stands in for one.
+    #[cfg(feature = "gpu")]
+    Gpu,
 }
 
 /// Which distances of a triangle count.
@@ -93,6 +96,9 @@ pub struct Settings {
     pub method: Method,
     /// Where it is computed.
     pub backend: Backend,
+    /// Name, or a part of it, of the adapter that the backend `gpu` takes; the best one by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<String>,
     /// N: nodes a ring, at least 3.
     pub nodes: u32,
     /// L: levels of faces, at least 1; a tube has L + 1 rings.
@@ -118,6 +124,7 @@ impl Default for Settings {
         Self {
             method: Method::Cylinders,
             backend: Backend::Auto,
+            adapter: None,
             nodes: 12,
             levels: 5,
             height_mm: 10.0,

@@ -65,7 +65,12 @@ fn the_reference_gives_the_golden_radii_to_1e_9_mm() {
         let fast = radii(&CpuEngine::<f32>::new().fit(&job).unwrap());
         let mut diffs: Vec<f64> = golden.iter().map(|(k, r)| (fast[k] - r).abs()).collect();
         diffs.sort_by(f64::total_cmp);
-        println!("f32 {:e} {:e} {}", diffs[diffs.len()*99/100], diffs[diffs.len() - 1], diffs.iter().filter(|d| **d>1e-3).count());
+        println!(
+            "f32 {:e} {:e} {}",
+            diffs[diffs.len() * 99 / 100],
+            diffs[diffs.len() - 1],
+            diffs.iter().filter(|d| **d > 1e-3).count()
+        );
         assert!(worst <= 1e-9, "{worst:e} mm");
     }
 }

@@ -11,87 +11,105 @@ struct Nearer {
     top: bool,
 }
 
-struct Closest {
-    q: vec3f,
-    normal: vec3f,
-}
-
 // Written out, so that the order of the sums is the twin's.
 fn dot3(p: vec3f, q: vec3f) -> f32 {
     return p.x * q.x + p.y * q.y + p.z * q.z;
 }
 
-fn cross3(p: vec3f, q: vec3f) -> vec3f {
-    return vec3f(p.y * q.z - p.z * q.y, p.z * q.x - p.x * q.z, p.x * q.y - p.y * q.x);
-}
-
-fn closest(p: vec3f, b: vec3f, c: vec3f) -> Closest {
-    let normal = cross3(b, c);
-    let from_b = p - b;
-    let from_c = p - c;
-    let d1 = dot3(b, p);
-    let d2 = dot3(c, p);
-    let d3 = dot3(b, from_b);
-    let d4 = dot3(c, from_b);
-    let d5 = dot3(b, from_c);
-    let d6 = dot3(c, from_c);
-    let area_c = dot3(normal, cross3(b, p));
-    let area_b = dot3(normal, cross3(p, c));
-    let area_a = dot3(normal, cross3(from_b, from_c));
-
-    var over_b = area_b;
-    var over_c = area_c;
-    var under = area_a + area_b + area_c;
+// Weights of b and c in the closest point of the triangle (0, b, c): products of b and c with p, p - b and
+// p - c, and the areas opposite a, b and c.
+fn closest(from_a: vec2f, from_b: vec2f, from_c: vec2f, areas: vec3f) -> vec2f {
+    let d1 = from_a.x;
+    let d2 = from_a.y;
+    let d3 = from_b.x;
+    let d4 = from_b.y;
+    let d5 = from_c.x;
+    let d6 = from_c.y;
+    var over = areas.yz;
+    var under = areas.x + areas.y + areas.z;
     let e = d4 - d3;
     let f = d5 - d6;
-    if (area_a <= 0.0 && e >= 0.0 && f >= 0.0) {
-        over_b = f;
-        over_c = e;
+    if (areas.x <= 0.0 && e >= 0.0 && f >= 0.0) {
+        over = vec2f(f, e);
         under = e + f;
     }
-    if (area_b <= 0.0 && d2 >= 0.0 && d6 <= 0.0) {
-        over_b = 0.0;
-        over_c = d2;
+    if (areas.y <= 0.0 && d2 >= 0.0 && d6 <= 0.0) {
+        over = vec2f(0.0, d2);
         under = d2 - d6;
     }
     if (d6 >= 0.0 && d5 <= d6) {
-        over_b = 0.0;
-        over_c = d2;
+        over = vec2f(0.0, d2);
         under = d2;
     }
-    if (area_c <= 0.0 && d1 >= 0.0 && d3 <= 0.0) {
-        over_b = d1;
-        over_c = 0.0;
+    if (areas.z <= 0.0 && d1 >= 0.0 && d3 <= 0.0) {
+        over = vec2f(d1, 0.0);
         under = d1 - d3;
     }
     if (d3 >= 0.0 && d4 <= d3) {
-        over_b = d1;
-        over_c = 0.0;
+        over = vec2f(d1, 0.0);
         under = d1;
     }
     if (d1 <= 0.0 && d2 <= 0.0) {
-        over_b = 0.0;
-        over_c = 0.0;
+        over = vec2f(0.0);
         under = 1.0;
     }
-
-    let s = over_b / under;
-    let t = over_c / under;
-    let q = vec3f(b.x * s + c.x * t, b.y * s + c.y * t, b.z * s + c.z * t);
-    return Closest(q, normal);
+    return vec2f(over.x / under, over.y / under);
 }
 
-fn distance_to_face(p: vec3f, face: Face, step_theta: f32, step_z: f32) -> Nearer {
-    let b = vec3f(face.b, step_theta, 0.0);
-    let b_above = vec3f(face.b_above, step_theta, step_z);
-    let a_above = vec3f(face.a_above, 0.0, step_z);
-    let bottom = closest(p, b, b_above);
-    let top = closest(p, b_above, a_above);
-    let e1 = p - bottom.q;
-    let e2 = p - top.q;
-    let is_top = dot3(top.q - bottom.q, e1 + e2) > 0.0;
+fn distance_to_face(p: vec3f, face: Face, dt: f32, dz: f32) -> Nearer {
+    let x = p.x;
+    let y = p.y;
+    let z = p.z;
+    let u = face.b;
+    let v = face.b_above;
+    let w = face.a_above;
+    let corner_b = vec3f(u, dt, 0.0);
+    let corner_b_above = vec3f(v, dt, dz);
+    let corner_a_above = vec3f(w, 0.0, dz);
+    let from_b = vec3f(x - u, y - dt, z);
+    let from_b_above = vec3f(x - v, y - dt, z - dz);
+    let from_a_above = vec3f(x - w, y, z - dz);
+    let diagonal = dot3(corner_b_above, p);
+    let beyond_diagonal = dot3(corner_b_above, from_b_above);
+    let n_r = dt * dz;
+
+    let n1 = vec3f(n_r, -(u * dz), dt * (u - v));
+    let bb_r = v - u;
+    let bottom = closest(
+        vec2f(dot3(corner_b, p), diagonal),
+        vec2f(dot3(corner_b, from_b), dot3(corner_b_above, from_b)),
+        vec2f(dot3(corner_b, from_b_above), beyond_diagonal),
+        vec3f(
+            dot3(n1, vec3f(-(dz * from_b.y), dz * from_b.x - bb_r * z, bb_r * from_b.y)),
+            dot3(n1, vec3f(y * dz - z * dt, z * v - x * dz, x * dt - y * v)),
+            dot3(n1, vec3f(dt * z, -(u * z), u * y - dt * x)),
+        ),
+    );
+    let q1 = vec3f(u * bottom.x + v * bottom.y, dt * (bottom.x + bottom.y), dz * bottom.y);
+
+    let aa_r = w - v;
+    let n2 = vec3f(n_r, dz * aa_r, -(dt * w));
+    let top = closest(
+        vec2f(diagonal, dot3(corner_a_above, p)),
+        vec2f(beyond_diagonal, dot3(corner_a_above, from_b_above)),
+        vec2f(dot3(corner_b_above, from_a_above), dot3(corner_a_above, from_a_above)),
+        vec3f(
+            dot3(n2, vec3f(
+                -(dt * from_b_above.z),
+                -(aa_r * from_b_above.z),
+                aa_r * from_b_above.y + dt * from_b_above.x,
+            )),
+            dot3(n2, vec3f(y * dz, z * w - x * dz, -(y * w))),
+            dot3(n2, vec3f(dt * z - dz * y, dz * x - v * z, v * y - dt * x)),
+        ),
+    );
+    let q2 = vec3f(v * top.x + w * top.y, dt * top.x, dz * (top.x + top.y));
+
+    let e1 = p - q1;
+    let e2 = p - q2;
+    let is_top = dot3(q2 - q1, e1 + e2) > 0.0;
     let squared = select(dot3(e1, e1), dot3(e2, e2), is_top);
-    let side = select(dot3(e1, bottom.normal), dot3(e2, top.normal), is_top);
+    let side = select(dot3(e1, n1), dot3(e2, n2), is_top);
     let distance = sqrt(squared);
     return Nearer(select(distance, -distance, side < 0.0), is_top);
 }

@@ -47,7 +47,7 @@ impl Arguments {
         let settings = self.settings.settings()?;
         surface::check_ending(&self.output)?;
         let recording = Recording::read(&self.recording)?;
-        let engine = engine(settings.backend);
+        let engine = engine(&settings)?;
         let bar = progress::bar("fitting cylinders", merged_frames(recording.frames.len(), &settings).len());
         let done = Reconstruction::new(&recording, &settings, &*engine, self.cylinders.is_some(), &|n| {
             bar.inc(n as u64);
@@ -77,7 +77,13 @@ impl Arguments {
 /// The report for people.
 pub(super) fn print_report(report: &Report) {
     let Report { points, seconds, .. } = report;
-    println!("engine     {} on {} threads", report.engine, report.threads);
+    match &report.engine.adapter {
+        Some(adapter) => println!("engine     {} on {adapter}", report.engine.name),
+        None => println!("engine     {} on {} threads", report.engine.name, report.threads),
+    }
+    if let Some(why) = &report.engine.why {
+        println!("           chosen because {why}");
+    }
     print!("frames     {}, {} cylinders fitted", report.frames, report.cylinders);
     match report.estimated_cylinders {
         0 => println!(),

@@ -15,6 +15,9 @@ pub(super) struct SettingsArguments {
     /// Where it is computed [default: auto]
     #[arg(long, value_enum)]
     backend: Option<Backend>,
+    /// Adapter of the backend gpu, by name or a part of it [default: the best; see lumenmesh devices]
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
     /// Nodes a ring [default: 12]
     #[arg(long, value_name = "N")]
     nodes: Option<u32>,
@@ -58,6 +61,9 @@ impl SettingsArguments {
         }
         set(&mut settings.method, self.method);
         set(&mut settings.backend, self.backend);
+        if self.adapter.is_some() {
+            settings.adapter.clone_from(&self.adapter);
+        }
         set(&mut settings.nodes, self.nodes);
         set(&mut settings.levels, self.levels);
         set(&mut settings.height_mm, self.height);

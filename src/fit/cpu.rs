@@ -1,9 +1,10 @@
 //! The fit on the CPU: f32 as the device computes it, or f64 as the reference.
 
 use super::passes::{
-    Face, Filter, Grid, Groups, Scalar, Section, TriangleStatistic, distance, fill, filter, group, support, update,
+    Face, Filter, Grid, Groups, Scalar, Section, TriangleStatistic, distance, fill, filter, group, support,
+    update,
 };
-use super::{DeformedTube, Engine, FittedCylinder, Job};
+use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job};
 use crate::Result;
 use crate::settings::Settings;
 use crate::tube::Tube;
@@ -25,8 +26,9 @@ impl<T> CpuEngine<T> {
 }
 
 impl<T: Scalar> Engine for CpuEngine<T> {
-    fn name(&self) -> &str {
-        if size_of::<T>() == size_of::<f64>() { "reference" } else { "cpu" }
+    fn describe(&self) -> EngineDescription {
+        let name = if size_of::<T>() == size_of::<f64>() { "reference" } else { "cpu" };
+        EngineDescription { name: name.into(), ..EngineDescription::default() }
     }
 
     fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>> {

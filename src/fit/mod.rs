@@ -3,12 +3,14 @@
 //! A [`Track`] holds the frames; an [`Engine`] fits the cylinders that a [`Job`] asks for. Engines differ in
 //! where and in which precision they compute, not in what: [`passes`] are the method's steps.
 
+mod auto;
 mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod passes;
 mod track;
 
+pub use auto::AutoEngine;
 pub use cpu::CpuEngine;
 pub use track::{NearFrame, PlacedCylinder, Track};
 
@@ -18,6 +20,7 @@ use crate::settings::{Backend, Settings};
 use crate::tube::Tube;
 use glam::DVec3;
 use passes::Section;
+use serde::Serialize;
 
 /// What an engine is to do.
 #[derive(Clone, Copy)]
@@ -47,18 +50,38 @@ pub fn merged_frames(frame_count: usize, settings: &Settings) -> Vec<usize> {
     (every - 1..frame_count).step_by(every).collect()
 }
 
-/// The engine that a setting asks for.
-pub fn engine(backend: Backend) -> Box<dyn Engine> {
-    match backend {
-        Backend::Auto | Backend::Cpu => Box::new(CpuEngine::<f32>::new()),
+/// The engine that the settings ask for.
+///
+/// # Errors
+/// [`Error::Gpu`](crate::Error::Gpu) where the settings insist on a device and there is none.
+pub fn engine(settings: &Settings) -> Result<Box<dyn Engine>> {
+    Ok(match settings.backend {
+        Backend::Auto => Box::new(AutoEngine::default()),
+        Backend::Cpu => Box::new(CpuEngine::<f32>::new()),
         Backend::Reference => Box::new(CpuEngine::<f64>::new()),
-    }
+        #[cfg(feature = "gpu")]
+        Backend::Gpu => Box::new(gpu::GpuEngine::new(settings.adapter.as_deref())?),
+    })
+}
+
+/// What an engine says of itself.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct EngineDescription {
+    /// `cpu`, `reference` or `gpu`.
+    pub name: String,
+    /// The adapter, for `gpu`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<String>,
+    /// Why this one, where it was not asked for by name.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
 }
 
 /// Something that fits cylinders.
 pub trait Engine: Send + Sync {
-    /// Its name, as on the command line.
-    fn name(&self) -> &str;
+    /// What it is: its name as on the command line, the adapter where there is one, and where it chose between
+    /// others, what it chose last and why.
+    fn describe(&self) -> EngineDescription;
 
     /// Fits the cylinders of a job, in the order of its frames.
     ///

@@ -63,7 +63,8 @@ pub(super) fn read(folder: &Path) -> Result<Recording> {
     let [x, y] = columns(&contours, ["x_mm", "y_mm"])?;
     while let Some(row) = contours.next_row()? {
         let frame = known_frame(&contours, &row, frame_column, &index_of, &mut frames)?;
-        let value = |column| -> Result<f64> { Ok(contours.optional_number(&row, column)?.unwrap_or(f64::NAN)) };
+        let value =
+            |column| -> Result<f64> { Ok(contours.optional_number(&row, column)?.unwrap_or(f64::NAN)) };
         frame.contour_mm.push(DVec2::new(value(x)?, value(y)?));
     }
 

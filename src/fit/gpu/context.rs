@@ -182,8 +182,9 @@ impl Context {
 
     /// Waits for a submission, but not for ever.
     pub(super) fn wait(&self, submission: wgpu::SubmissionIndex, timeout: Duration) -> Result<(), GpuError> {
-        let poll =
-            self.device.poll(wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(timeout) });
+        let poll = self
+            .device
+            .poll(wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(timeout) });
         self.alive()?;
         match poll {
             Ok(_) => Ok(()),
@@ -194,7 +195,11 @@ impl Context {
 }
 
 /// Runs calls on the device and returns what they made, unless the device refuses one.
-pub(super) fn checked<T>(device: &wgpu::Device, what: &str, calls: impl FnOnce() -> T) -> Result<T, GpuError> {
+pub(super) fn checked<T>(
+    device: &wgpu::Device,
+    what: &str,
+    calls: impl FnOnce() -> T,
+) -> Result<T, GpuError> {
     let scopes = [wgpu::ErrorFilter::Validation, wgpu::ErrorFilter::Internal, wgpu::ErrorFilter::OutOfMemory]
         .map(|filter| device.push_error_scope(filter));
     let made = calls();

@@ -125,7 +125,13 @@ pub struct DevicePair {
 
 impl DevicePair {
     /// The pair of a cylinder and a frame with `count` points from `first_point` on.
-    pub fn new(cylinder_from_probe: &Pose, cylinder: u32, first_point: u32, count: u32, first_slot: u32) -> Self {
+    pub fn new(
+        cylinder_from_probe: &Pose,
+        cylinder: u32,
+        first_point: u32,
+        count: u32,
+        first_slot: u32,
+    ) -> Self {
         let TubeTransform { x, y, origin } = TubeTransform::<f32>::new(cylinder_from_probe);
         Self { x, y, origin, cylinder, first_point, count, first_slot, unused: [0; 3] }
     }

@@ -19,7 +19,7 @@ pub use workspace::Workspace;
 use super::cpu::residual_mm;
 use super::passes::Section;
 use super::track::empty_section;
-use super::{DeformedTube, Engine, FittedCylinder, Job};
+use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job};
 use crate::settings::Settings;
 use crate::tube::Tube;
 use crate::{Error, Result};
@@ -127,13 +127,53 @@ impl GpuEngine {
         Ok(workspace.record(&self.context, &self.pipelines, encoder, false, timer)?)
     }
 
-    /// Runs a workspace and reads some of its buffers back, whole.
-    fn run(&self, workspace: &Workspace, names: &[&'static str], history: bool) -> Result<Vec<Vec<u8>>, GpuError> {
+    /// Device memory for the cylinders of a job, a workspace a batch, with the points on the device.
+    ///
+    /// # Errors
+    /// Where settings are invalid or a frame has no cylinder, and [`Error::Gpu`] where the job does not fit the
+    /// device.
+    pub fn prepare_job(&self, job: &Job) -> Result<Vec<Workspace>> {
+        job.settings.validate()?;
+        self.batches(job)?.iter().map(|batch| self.workspace_of(job, batch)).collect()
+    }
+
+    /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back: how a pass is
+    /// compared with its twin on identical inputs.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] where there is no such pass or buffer, or the device fails.
+    pub fn run_pass(
+        &self,
+        workspace: &Workspace,
+        pass: &str,
+        inputs: &[(&str, &[u8])],
+        outputs: &[&str],
+    ) -> Result<Vec<Vec<u8>>> {
+        let pipeline = self.pipelines.iter().find(|p| p.pass.name == pass);
+        let unknown =
+            |what: &str| GpuError::Refused { what: what.into(), reason: "no such pass or buffer".into() };
+        let pipeline = pipeline.ok_or_else(|| unknown(pass))?;
+        for name in inputs.iter().map(|(name, _)| name).chain(outputs) {
+            workspace.has(name).then_some(()).ok_or_else(|| unknown(name))?;
+        }
+        for (name, bytes) in inputs {
+            checked(&self.context.device, name, || workspace.write(&self.context, name, bytes))?;
+        }
+        Ok(self.run(workspace, outputs, |encoder| workspace.record_one(&self.context, pipeline, encoder))?)
+    }
+
+    /// Submits what `record` records and reads some of a workspace's buffers back, whole.
+    fn run(
+        &self,
+        workspace: &Workspace,
+        names: &[&str],
+        record: impl FnOnce(&mut wgpu::CommandEncoder) -> Result<(), GpuError>,
+    ) -> Result<Vec<Vec<u8>>, GpuError> {
         let device = &self.context.device;
         let mut copies = Vec::new();
         let submission = checked(device, "submission", || -> Result<_, GpuError> {
             let mut encoder = device.create_command_encoder(&Default::default());
-            workspace.record(&self.context, &self.pipelines, &mut encoder, history, &mut |_| None)?;
+            record(&mut encoder)?;
             for name in names {
                 let from = workspace.buffer(name);
                 let copy = device.create_buffer(&wgpu::BufferDescriptor {
@@ -148,7 +188,9 @@ impl GpuEngine {
             Ok(self.context.queue.submit([encoder.finish()]))
         })
         .map_err(|error| match error {
-            GpuError::OutOfMemory { reason, .. } => GpuError::OutOfMemory { needed: workspace.bytes(), reason },
+            GpuError::OutOfMemory { reason, .. } => {
+                GpuError::OutOfMemory { needed: workspace.bytes(), reason }
+            }
             other => other,
         })??;
         let (sender, receiver) = mpsc::channel();
@@ -186,7 +228,9 @@ impl GpuEngine {
     ) -> Result<Vec<DeformedTube>, GpuError> {
         let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "history"];
         let names = if history { &names[..] } else { &names[..6] };
-        let read = self.run(workspace, names, history)?;
+        let read = self.run(workspace, names, |encoder| {
+            workspace.record(&self.context, &self.pipelines, encoder, history, &mut |_| None)
+        })?;
         let words = |k: usize| bytemuck::pod_collect_to_vec::<u8, u32>(&read[k]);
         let numbers = |k: usize| bytemuck::pod_collect_to_vec::<u8, f32>(&read[k]);
         let (radii, support, residuals) = (numbers(0), words(1), numbers(2));
@@ -214,9 +258,7 @@ impl GpuEngine {
                     radii_mm: to_f64(&radii[nodes.clone()]),
                     history_mm: if history {
                         let all = radii_mm.len() * count;
-                        (0..=iterations)
-                            .map(|i| to_f64(&history_radii[i * all..][nodes.clone()]))
-                            .collect()
+                        (0..=iterations).map(|i| to_f64(&history_radii[i * all..][nodes.clone()])).collect()
                     } else {
                         Vec::new()
                     },
@@ -286,9 +328,7 @@ impl GpuEngine {
                 slots += u64::from(count);
                 batch.points = match batch.points.is_empty() {
                     true => pair.echoes.clone(),
-                    false => {
-                        batch.points.start.min(pair.echoes.start)..batch.points.end.max(pair.echoes.end)
-                    }
+                    false => batch.points.start.min(pair.echoes.start)..batch.points.end.max(pair.echoes.end),
                 };
             }
             batch.radii_mm.push(radius_mm);
@@ -302,13 +342,16 @@ impl GpuEngine {
         Ok(batches)
     }
 
-    fn fit_batch(&self, job: &Job, batch: &Batch) -> Result<Vec<FittedCylinder>> {
+    fn workspace_of(&self, job: &Job, batch: &Batch) -> Result<Workspace> {
         let points: Vec<[f32; 2]> =
             job.track.echoes_mm()[batch.points.clone()].iter().map(|p| [p.x as f32, p.y as f32]).collect();
         let points = Points::Pairs { points: &points, pairs: &batch.pairs };
         let (context, pipelines) = (&self.context, &self.pipelines);
-        let workspace =
-            Workspace::new(context, pipelines, job.settings, &batch.radii_mm, &points, job.history)?;
+        Ok(Workspace::new(context, pipelines, job.settings, &batch.radii_mm, &points, job.history)?)
+    }
+
+    fn fit_batch(&self, job: &Job, batch: &Batch) -> Result<Vec<FittedCylinder>> {
+        let workspace = self.workspace_of(job, batch)?;
         let tubes = self.tubes(&workspace, job.settings, &batch.radii_mm, job.history)?;
         let fitted = tubes.into_iter().zip(&job.frames[batch.members.clone()]).map(|(tube, &frame)| {
             if tube.points == 0 {
@@ -322,8 +365,9 @@ impl GpuEngine {
 }
 
 impl Engine for GpuEngine {
-    fn name(&self) -> &str {
-        "gpu"
+    fn describe(&self) -> EngineDescription {
+        let adapter = self.adapter().map(|a| format!("{} ({}, {})", a.name, a.backend, a.driver));
+        EngineDescription { name: "gpu".into(), adapter, why: None }
     }
 
     fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>> {
@@ -335,14 +379,20 @@ impl Engine for GpuEngine {
         Ok(cylinders)
     }
 
-    fn fit_section(&self, section: &Section<f32>, radius_mm: f64, settings: &Settings) -> Result<DeformedTube> {
+    fn fit_section(
+        &self,
+        section: &Section<f32>,
+        radius_mm: f64,
+        settings: &Settings,
+    ) -> Result<DeformedTube> {
         let count = u32::try_from(section.len()).map_err(|_| GpuError::TooLarge {
             name: "section".into(),
             needed: 12 * section.len() as u64,
             allowed: 12 * u64::from(u32::MAX),
         })?;
         let workspace = self.prepare(count, radius_mm, settings)?;
-        let rows: Vec<[f32; 3]> = (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
+        let rows: Vec<[f32; 3]> =
+            (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
         workspace.write(&self.context, "section", bytemuck::cast_slice(&rows));
         let mut tubes = self.tubes(&workspace, settings, &[radius_mm], false)?;
         let Some(mut tube) = tubes.pop() else {

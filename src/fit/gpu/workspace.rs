@@ -186,10 +186,8 @@ impl Workspace {
         };
         let device_cylinders: Vec<DeviceCylinder> =
             radii_mm.iter().map(|&r| DeviceCylinder::new(settings, r)).collect();
-        let primitive: Vec<f32> = radii_mm
-            .iter()
-            .flat_map(|&r| std::iter::repeat_n(r as f32, job.node_count as usize))
-            .collect();
+        let primitive: Vec<f32> =
+            radii_mm.iter().flat_map(|&r| std::iter::repeat_n(r as f32, job.node_count as usize)).collect();
         workspace.write(context, "job", bytemuck::bytes_of(&job));
         workspace.write(context, "cylinders", bytemuck::cast_slice(&device_cylinders));
         workspace.write(context, "primitive", bytemuck::cast_slice(&primitive));
@@ -204,6 +202,11 @@ impl Workspace {
         if !bytes.is_empty() {
             context.queue.write_buffer(&self.buffers[name], 0, bytes);
         }
+    }
+
+    /// Whether there is a buffer of that name.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.buffers.contains_key(name)
     }
 
     /// A buffer by its name in the pass table.
@@ -256,6 +259,21 @@ impl Workspace {
         [count.div_ceil(rows), if count == 0 { 0 } else { rows }, layers]
     }
 
+    /// Records one pass alone (`update` as of the first iteration), on what the buffers hold.
+    pub(super) fn record_one(
+        &self,
+        context: &Context,
+        pipeline: &Pipeline,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> Result<(), GpuError> {
+        let [x, y, z] = self.groups(pipeline.pass.name);
+        let mut compute = encoder.begin_compute_pass(&Default::default());
+        compute.set_pipeline(pipeline.get(&context.device, self.lanes)?);
+        compute.set_bind_group(0, &self.bind_groups[pipeline.pass.name][0], &[]);
+        compute.dispatch_workgroups(x, y, z);
+        Ok(())
+    }
+
     /// Records the whole fit: grouping, all iterations, support. The section buffer must hold the points.
     pub(super) fn record(
         &self,
@@ -302,7 +320,11 @@ impl Workspace {
                 let [x, y, z] = self.groups(name);
                 if x > 0 && !(name == "project" && self.job.single == 1) {
                     compute.set_pipeline(pipeline.get(&context.device, self.lanes)?);
-                    compute.set_bind_group(0, &self.bind_groups[name][iteration as usize % self.bind_groups[name].len()], &[]);
+                    compute.set_bind_group(
+                        0,
+                        &self.bind_groups[name][iteration as usize % self.bind_groups[name].len()],
+                        &[],
+                    );
                     compute.dispatch_workgroups(x, y, z);
                 }
                 // A timed pass stands alone; the history is copied between iterations.

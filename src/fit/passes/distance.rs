@@ -30,28 +30,30 @@ fn minus<T: Scalar>(p: Vector<T>, q: Vector<T>) -> Vector<T> {
     [p[0] - q[0], p[1] - q[1], p[2] - q[2]]
 }
 
-#[inline(always)]
-fn cross<T: Scalar>(p: Vector<T>, q: Vector<T>) -> Vector<T> {
-    [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
+/// What decides in which Voronoi region of the triangle (0, b, c) a point p lies: products with b and c, and
+/// the areas opposite the corners, `n·((c-b)×(p-b))`, `n·(p×c)` and `n·(b×p)`, all times 2|n|.
+struct Products<T> {
+    /// b·p, c·p.
+    from_a: [T; 2],
+    /// b·(p-b), c·(p-b).
+    from_b: [T; 2],
+    /// b·(p-c), c·(p-c).
+    from_c: [T; 2],
+    /// Opposite a, b and c.
+    areas: [T; 3],
 }
 
-/// Closest point of the triangle (0, b, c) to p, and the triangle's normal, not of unit length.
+/// Weights of b and c in the closest point of the triangle (0, b, c).
 ///
 /// Voronoi regions as in C. Ericson, *Real-Time Collision Detection*, 5.1.5, without branches: each region
-/// sets the weights of b and c as two numerators over one denominator. The areas that decide between regions
-/// are triple products, where the book has differences of products of dot products: equal by Lagrange's
-/// identity, but on the slivers of fine grids they keep the digits that f32 has.
+/// sets the weights as two numerators over one denominator. The areas are triple products, where the book has
+/// differences of products of dot products: equal by Lagrange's identity, but on the slivers of fine grids
+/// they keep the digits that f32 has.
 #[inline(always)]
-fn closest<T: Scalar>(p: Vector<T>, b: Vector<T>, c: Vector<T>) -> (Vector<T>, Vector<T>) {
+fn closest<T: Scalar>(products: &Products<T>) -> (T, T) {
+    let Products { from_a: [d1, d2], from_b: [d3, d4], from_c: [d5, d6], areas: [area_a, area_b, area_c] } =
+        *products;
     let zero = T::default();
-    let normal = cross(b, c);
-    let (from_b, from_c) = (minus(p, b), minus(p, c));
-    let (d1, d2) = (dot(b, p), dot(c, p));
-    let (d3, d4) = (dot(b, from_b), dot(c, from_b));
-    let (d5, d6) = (dot(b, from_c), dot(c, from_c));
-    let area_c = dot(normal, cross(b, p));
-    let area_b = dot(normal, cross(p, c));
-    let area_a = dot(normal, cross(from_b, from_c));
 
     // Inside, then the regions of the edges and corners, the book's first test last: the last that holds wins.
     let (mut over_b, mut over_c, mut under) = (area_b, area_c, area_a + area_b + area_c);
@@ -80,10 +82,7 @@ fn closest<T: Scalar>(p: Vector<T>, b: Vector<T>, c: Vector<T>) -> (Vector<T>, V
     over_b = if at_a { zero } else { over_b };
     over_c = if at_a { zero } else { over_c };
     under = if at_a { T::from_count(1) } else { under };
-
-    let (s, t) = (over_b / under, over_c / under);
-    let q = [b[0] * s + c[0] * t, b[1] * s + c[1] * t, b[2] * s + c[2] * t];
-    (q, normal)
+    (over_b / under, over_c / under)
 }
 
 /// Signed distance of a point to the nearer triangle of its face, and whether that is the top one; a tie goes
@@ -92,19 +91,68 @@ fn closest<T: Scalar>(p: Vector<T>, b: Vector<T>, c: Vector<T>) -> (Vector<T>, V
 /// Both triangles see their shared edge (a, b') as (0, c) or (0, b) with the same expression
 /// `t = (b'-a)·(p-a) / ((b'-a)·(p-a) - (b'-a)·(p-b'))`, so a point nearest to that edge is a tie to the bit.
 /// Which is nearer is read off `|p-q₁|² - |p-q₂|² = (q₂-q₁)·(2p-q₁-q₂)`, which does not cancel.
+///
+/// The cross products are written out for these two triangles, each common factor once: a compiler that may
+/// turn `ab + ac` into `a(b + c)` finds nothing to turn, and the device agrees to the bit.
 #[inline(always)]
 pub fn distance<T: Scalar>(p: [T; 3], face: &Face<T>) -> (T, bool) {
     let zero = T::default();
-    let b = [face.b, face.step_theta, zero];
-    let b_above = [face.b_above, face.step_theta, face.step_z];
-    let a_above = [face.a_above, zero, face.step_z];
-    let (q1, n1) = closest(p, b, b_above);
-    let (q2, n2) = closest(p, b_above, a_above);
+    let [x, y, z] = p;
+    let Face { b: u, b_above: v, a_above: w, step_theta: dt, step_z: dz } = *face;
+    let corner_b = [u, dt, zero];
+    let corner_b_above = [v, dt, dz];
+    let corner_a_above = [w, zero, dz];
+    let from_b = [x - u, y - dt, z];
+    let from_b_above = [x - v, y - dt, z - dz];
+    let from_a_above = [x - w, y, z - dz];
+    let diagonal = dot(corner_b_above, p);
+    let beyond_diagonal = dot(corner_b_above, from_b_above);
+    let n_r = dt * dz;
+
+    // Bottom: (a, b, b').
+    let n1 = [n_r, -(u * dz), dt * (u - v)];
+    let bb_r = v - u;
+    let bottom = Products {
+        from_a: [dot(corner_b, p), diagonal],
+        from_b: [dot(corner_b, from_b), dot(corner_b_above, from_b)],
+        from_c: [dot(corner_b, from_b_above), beyond_diagonal],
+        areas: [
+            dot(n1, [-(dz * from_b[1]), dz * from_b[0] - bb_r * z, bb_r * from_b[1]]),
+            dot(n1, [y * dz - z * dt, z * v - x * dz, x * dt - y * v]),
+            dot(n1, [dt * z, -(u * z), u * y - dt * x]),
+        ],
+    };
+    let (s1, t1) = closest(&bottom);
+    let q1 = [u * s1 + v * t1, dt * (s1 + t1), dz * t1];
+
+    // Top: (a, b', a').
+    let aa_r = w - v;
+    let n2 = [n_r, dz * aa_r, -(dt * w)];
+    let top = Products {
+        from_a: [diagonal, dot(corner_a_above, p)],
+        from_b: [beyond_diagonal, dot(corner_a_above, from_b_above)],
+        from_c: [dot(corner_b_above, from_a_above), dot(corner_a_above, from_a_above)],
+        areas: [
+            dot(
+                n2,
+                [
+                    -(dt * from_b_above[2]),
+                    -(aa_r * from_b_above[2]),
+                    aa_r * from_b_above[1] + dt * from_b_above[0],
+                ],
+            ),
+            dot(n2, [y * dz, z * w - x * dz, -(y * w)]),
+            dot(n2, [dt * z - dz * y, dz * x - v * z, v * y - dt * x]),
+        ],
+    };
+    let (s2, t2) = closest(&top);
+    let q2 = [v * s2 + w * t2, dt * s2, dz * (s2 + t2)];
+
     let (e1, e2) = (minus(p, q1), minus(p, q2));
     let sum = [e1[0] + e2[0], e1[1] + e2[1], e1[2] + e2[2]];
-    let top = dot(minus(q2, q1), sum) > zero;
-    let squared = if top { dot(e2, e2) } else { dot(e1, e1) };
-    let side = if top { dot(e2, n2) } else { dot(e1, n1) };
+    let is_top = dot(minus(q2, q1), sum) > zero;
+    let squared = if is_top { dot(e2, e2) } else { dot(e1, e1) };
+    let side = if is_top { dot(e2, n2) } else { dot(e1, n1) };
     let distance = squared.sqrt();
-    (if side < zero { -distance } else { distance }, top)
+    (if side < zero { -distance } else { distance }, is_top)
 }

@@ -91,9 +91,10 @@ pub fn project<T: Scalar>(
         let [xs, ys, zs, rs] = &mut block;
         for (i, p) in points.iter().enumerate() {
             let (px, py) = (T::from_f64(p.x), T::from_f64(p.y));
-            xs[i] = ex[0] * px + ey[0] * py + o[0];
-            ys[i] = ex[1] * px + ey[1] * py + o[1];
-            zs[i] = ex[2] * px + ey[2] * py + o[2];
+            // The origin comes first: drivers move what is the same for all points of a frame inwards.
+            xs[i] = (o[0] + ex[0] * px) + ey[0] * py;
+            ys[i] = (o[1] + ex[1] * px) + ey[1] * py;
+            zs[i] = (o[2] + ex[2] * px) + ey[2] * py;
             rs[i] = (xs[i] * xs[i] + ys[i] * ys[i]).sqrt();
         }
         // Pack what passes to the front, then spend the arc tangent on that alone.
