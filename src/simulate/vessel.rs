@@ -59,7 +59,13 @@ impl Vessel {
 
     /// How far from `origin_mm` the first wall in the unit `direction` is, mm; `None` beyond `range_mm`.
     pub fn cast_mm(&self, origin_mm: DVec3, direction: DVec3, range_mm: f64) -> Option<f64> {
-        self.wall.cast_local_ray(&Ray::new(origin_mm, direction), range_mm, false)
+        let cast = |direction| self.wall.cast_local_ray(&Ray::new(origin_mm, direction), range_mm, false);
+        // A ray that meets an edge exactly can slip between its two triangles in rounding. A ray a hair beside it
+        // does not, and meets the wall at the same distance to far below a nanometre.
+        cast(direction).or_else(|| {
+            let (x, y) = direction.any_orthonormal_pair();
+            cast(direction + (x * 0.6 + y * 0.8) * 1e-12)
+        })
     }
 
     /// Distance from a point to the wall, mm, never negative.
