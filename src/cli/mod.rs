@@ -7,6 +7,7 @@ mod info;
 mod progress;
 mod reconstruct;
 mod settings;
+mod simulate;
 
 use crate::{Error, Result};
 use clap::{Parser, Subcommand};
@@ -26,6 +27,7 @@ enum Command {
     Info(info::Arguments),
     Import(import::Arguments),
     Demo(demo::Arguments),
+    Simulate(simulate::Arguments),
 }
 
 /// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong.
@@ -36,6 +38,7 @@ pub fn main() -> ExitCode {
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Demo(arguments) => arguments.run(),
+        Command::Simulate(arguments) => arguments.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

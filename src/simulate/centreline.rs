@@ -3,6 +3,8 @@
 use crate::geometry::{Pose, rotation_minimising_frames};
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
+use serde::Deserialize;
+use std::path::Path;
 
 /// The middle of one branch of a vessel: a smooth curve through given points, parameterised by the length of
 /// the chords between them.
@@ -75,6 +77,47 @@ impl Centreline {
             (0..=steps).map(|i| line.at(i as f64 * line.frame_step_mm)).unzip();
         line.frames = rotation_minimising_frames(&points, &tangents);
         Ok(line)
+    }
+
+    /// Reads the centrelines of a vessel from a CSV file with the columns `branch`, `x_mm`, `y_mm`, `z_mm` and
+    /// `r_inscribed_mm`, one row per point; others are left alone. A branch is a run of rows with the same number.
+    ///
+    /// # Errors
+    /// [`Error::Read`], and [`Error::Input`] for rows that cannot be read and branches that
+    /// [`Centreline::new`] refuses.
+    pub fn read_branches(path: &Path) -> Result<Vec<Self>> {
+        #[derive(Deserialize)]
+        struct Row {
+            branch: i64,
+            x_mm: f64,
+            y_mm: f64,
+            z_mm: f64,
+            r_inscribed_mm: f64,
+        }
+        let file = std::fs::File::open(path).map_err(|source| Error::Read { path: path.into(), source })?;
+        let rows = csv::ReaderBuilder::new()
+            .trim(csv::Trim::All)
+            .from_reader(file)
+            .into_deserialize()
+            .collect::<Result<Vec<Row>, csv::Error>>()
+            .map_err(|e| {
+                Error::input(path, "rows", e, "columns branch, x_mm, y_mm, z_mm, r_inscribed_mm with numbers")
+            })?;
+        if rows.is_empty() {
+            return Err(Error::input(path, "rows", "none", "the points of at least one branch"));
+        }
+        rows.chunk_by(|a, b| a.branch == b.branch)
+            .map(|branch| {
+                let points = branch.iter().map(|r| DVec3::new(r.x_mm, r.y_mm, r.z_mm)).collect();
+                let radii = branch.iter().map(|r| r.r_inscribed_mm).collect();
+                Self::new(points, radii).map_err(|error| match error {
+                    Error::Surface { what, found, expected } => {
+                        Error::input(path, format!("branch {}: {what}", branch[0].branch), found, expected)
+                    }
+                    other => other,
+                })
+            })
+            .collect()
     }
 
     /// The points that the curve passes through, mm.

@@ -134,6 +134,11 @@ impl Insertion {
         Self { moves: vec![Move::Advance { distance_mm: 20.0 }], ..Self::default() }
     }
 
+    /// How far along a branch of that length the tip may go, mm.
+    pub fn end_in_mm(&self, branch_length_mm: f64) -> f64 {
+        self.end_mm.unwrap_or(branch_length_mm - 5.0)
+    }
+
     /// Refuses what is no insertion.
     ///
     /// # Errors
@@ -187,7 +192,7 @@ impl Insertion {
             });
         };
         let length = centreline.length_mm();
-        let end_mm = self.end_mm.unwrap_or(length - 5.0);
+        let end_mm = self.end_in_mm(length);
         if end_mm > length || self.start_mm >= end_mm {
             return Err(Error::Setting {
                 name: "insertion.end_mm",
@@ -283,7 +288,7 @@ impl Path<'_> {
     /// Refuses a tip outside the lumen or nearer to the wall than the clearance.
     pub fn check(&self, vessel: &Vessel, time_s: f64) -> Result<()> {
         let state = self.state(time_s);
-        self.wall_too_near(vessel, state).map_or(Ok(()), |distance_mm| {
+        self.wall_too_near(vessel, state, self.insertion.clearance_mm).map_or(Ok(()), |distance_mm| {
             Err(Error::Surface {
                 what: format!(
                     "catheter tip at {:.1} mm of the branch, bent {:.1}°",
@@ -337,24 +342,34 @@ impl Path<'_> {
         bent
     }
 
-    /// `None`: far enough. Else how near the wall is, or nothing where it was passed.
-    fn wall_too_near(&self, vessel: &Vessel, state: State) -> Option<Option<f64>> {
+    /// `None`: the tip keeps `clearance_mm` from the wall. Else how near the wall is, or nothing where it was
+    /// passed.
+    fn wall_too_near(&self, vessel: &Vessel, state: State, clearance_mm: f64) -> Option<Option<f64>> {
         let middle = self.centreline.at(state.s_mm).0;
         let tip = self.tip_in(state).translation_mm;
         if vessel.wall_between(middle, tip) {
             return Some(None);
         }
         let distance_mm = vessel.distance_mm(tip);
-        (distance_mm < self.insertion.clearance_mm).then_some(Some(distance_mm))
+        (distance_mm < clearance_mm).then_some(Some(distance_mm))
     }
 
     /// The largest angle up to `asked_deg` that keeps its clearance in every plane.
     fn largest_bend_deg(&self, vessel: &Vessel, state: State, asked_deg: f64) -> f64 {
+        // Halfway between two of the planes that are tried, the tip is so far from both of its neighbours at most;
+        // the wall can be nearer by no more than that.
+        let between_mm = |angle_deg: f64| {
+            self.insertion.bending_length_mm * angle_deg.to_radians() * 0.5 * TAU / f64::from(PLANES) * 0.5
+        };
         let clear = |angle_deg: f64| {
             (0..PLANES).all(|i| {
                 let plane_rad = f64::from(i) / f64::from(PLANES) * TAU;
-                let bent = State { bend_rad: angle_deg.to_radians(), plane_rad, ..state };
-                self.wall_too_near(vessel, bent).is_none()
+                BENDING_STAGES.iter().all(|stage| {
+                    let angle_deg = stage * angle_deg;
+                    let bent = State { bend_rad: angle_deg.to_radians(), plane_rad, ..state };
+                    let clearance_mm = self.insertion.clearance_mm + between_mm(angle_deg);
+                    self.wall_too_near(vessel, bent, clearance_mm).is_none()
+                })
             })
         };
         if clear(asked_deg) {
@@ -373,4 +388,7 @@ impl Path<'_> {
 const BENDING_STEPS: f64 = 32.0;
 
 /// Planes in which a bend is tried.
-const PLANES: u32 = 72;
+const PLANES: u32 = 180;
+
+/// Parts of the whole angle that the tip passes through and that are tried.
+const BENDING_STAGES: [f64; 4] = [1.0, 0.75, 0.5, 0.25];

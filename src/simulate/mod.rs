@@ -18,6 +18,7 @@ mod insertion;
 mod noise;
 mod phantom;
 mod probe;
+mod tracker;
 mod vessel;
 
 pub use centreline::Centreline;
@@ -25,6 +26,7 @@ pub use insertion::{Insertion, Move, ReducedBend};
 pub use noise::{ContourNoise, Noise};
 pub use phantom::{Phantom, Shape};
 pub use probe::Probe;
+pub use tracker::TrackerNoise;
 pub use vessel::Vessel;
 
 use crate::cylinder::CylinderModel;

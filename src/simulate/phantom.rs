@@ -97,6 +97,19 @@ pub enum Shape {
 impl Shape {
     /// The names that [`Shape::from_str`] knows.
     pub const NAMES: [&str; 7] = ["aorta", "cylinder", "frustum", "arch", "stenosis", "aneurysm", "ellipse"];
+
+    /// The shape's name.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Shape::Aorta => "aorta",
+            Shape::Cylinder { .. } => "cylinder",
+            Shape::Frustum { .. } => "frustum",
+            Shape::Arch { .. } => "arch",
+            Shape::Stenosis { .. } => "stenosis",
+            Shape::Aneurysm { .. } => "aneurysm",
+            Shape::Ellipse { .. } => "ellipse",
+        }
+    }
 }
 
 impl FromStr for Shape {

@@ -158,16 +158,8 @@ fn check_nodes(surface: &Surface) -> Result<()> {
     if let Some((i, p)) = surface.nodes_mm.iter().enumerate().find(|(_, p)| !p.is_finite()) {
         return Err(wrong(&format!("node {i}"), p, "three finite numbers in mm"));
     }
-    let nodes = surface.nodes_mm.len();
-    if let Some((i, t)) =
-        surface.triangles.iter().enumerate().find(|(_, t)| t.iter().any(|&n| n as usize >= nodes))
-    {
-        return Err(wrong(&format!("triangle {i}"), format!("{t:?}"), format!("indices below {nodes}")));
-    }
-    let used = || surface.triangles.iter().flatten().map(|&n| surface.nodes_mm[n as usize]);
-    let low = used().fold(DVec3::INFINITY, DVec3::min);
-    let high = used().fold(DVec3::NEG_INFINITY, DVec3::max);
-    let size = (high - low).max_element();
+    surface.check()?;
+    let size = surface.bounding_box_mm().map_or(0.0, |[low, high]| (high - low).max_element());
     if size < 1.0 {
         return Err(wrong(
             "size",
