@@ -6,6 +6,7 @@ mod import;
 mod info;
 mod progress;
 mod reconstruct;
+mod render;
 mod settings;
 mod simulate;
 
@@ -28,6 +29,7 @@ enum Command {
     Import(import::Arguments),
     Demo(demo::Arguments),
     Simulate(simulate::Arguments),
+    Render(render::Arguments),
 }
 
 /// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong.
@@ -39,6 +41,7 @@ pub fn main() -> ExitCode {
         Command::Import(arguments) => arguments.run(),
         Command::Demo(arguments) => arguments.run(),
         Command::Simulate(arguments) => arguments.run(),
+        Command::Render(arguments) => arguments.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
