@@ -22,7 +22,7 @@ A settings file:
   cylinders = false
   [vessel]
   edge_mm = 1.2
-  shape.stenosis = { radius_mm = 10.0, throat_radius_mm = 5.5, throat_sd_mm = 7.0, length_mm = 100.0 }
+  shape.cylinder = { radius_mm = 12.0, length_mm = 100.0 }
   [insertion]
   repeat = true
   moves = [{ advance = { distance_mm = 20.0 } }, { bend = { angle_deg = 30.0 } },
@@ -38,7 +38,8 @@ pub(super) struct Arguments {
     /// Recording to write: a .mat file, else a folder of CSV files
     #[arg(short, long, value_name = "REC")]
     output: PathBuf,
-    /// A phantom (aorta, cylinder, frustum, arch, stenosis, aneurysm, ellipse) or a surface file in mm
+    /// A phantom (aorta, cylinder, frustum, arch, stenosis, aneurysm, ellipse, bifurcation,
+    /// side_branch) or a surface file in mm
     /// (.vtp, .ply, .stl, .obj) [default: aorta]
     #[arg(long, value_name = "NAME|SURFACE")]
     vessel: Option<String>,

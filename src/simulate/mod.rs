@@ -13,6 +13,7 @@
 //! # Ok::<(), lumenmesh::Error>(())
 //! ```
 
+mod branching;
 mod centreline;
 mod insertion;
 mod noise;

@@ -1,5 +1,6 @@
 //! Vessels made from formulas.
 
+use super::branching::{self, Limb};
 use super::centreline::Centreline;
 use super::vessel::Vessel;
 use super::within;
@@ -10,7 +11,8 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::str::FromStr;
 
-/// A vessel made from formulas: a tube about a smooth curve, open at both ends, starting at the origin along +z.
+/// A vessel made from formulas: a tube about a smooth curve, or several that branch, open at its ends. Its
+/// centrelines start at the origin along +z.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Phantom {
@@ -25,7 +27,8 @@ fn default_edge_mm() -> f64 {
     1.2
 }
 
-/// The phantoms and their dimensions in mm.
+/// The phantoms and their dimensions in mm. Where the tubes of a branching one meet, the wall is rounded off: it
+/// lies up to 0.5 mm further out where two of its tubes are less than 2 mm apart.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 #[non_exhaustive]
@@ -92,11 +95,45 @@ pub enum Shape {
         /// Length.
         length_mm: f64,
     },
+    /// A straight round tube that parts into two of equal size, bending away to +x and -x.
+    Bifurcation {
+        /// Radius before the parting.
+        parent_radius_mm: f64,
+        /// Radius of each of the two.
+        daughter_radius_mm: f64,
+        /// Angle between each of the two and the parent, degrees. The bend starts halfway and takes a quarter of
+        /// the length.
+        half_angle_deg: f64,
+        /// Length along z.
+        length_mm: f64,
+    },
+    /// A straight round tube with a smaller one that leaves it towards +x.
+    SideBranch {
+        /// Radius of the trunk.
+        trunk_radius_mm: f64,
+        /// Radius of the branch, smaller than the trunk's.
+        branch_radius_mm: f64,
+        /// Angle between branch and trunk, degrees.
+        angle_deg: f64,
+        /// Length of the trunk. Its first third is straight in both centrelines; the branch is cut one trunk
+        /// radius and a quarter of this length away from the trunk's middle.
+        length_mm: f64,
+    },
 }
 
 impl Shape {
     /// The names that [`Shape::from_str`] knows.
-    pub const NAMES: [&str; 7] = ["aorta", "cylinder", "frustum", "arch", "stenosis", "aneurysm", "ellipse"];
+    pub const NAMES: [&str; 9] = [
+        "aorta",
+        "cylinder",
+        "frustum",
+        "arch",
+        "stenosis",
+        "aneurysm",
+        "ellipse",
+        "bifurcation",
+        "side_branch",
+    ];
 
     /// The shape's name.
     pub fn name(&self) -> &'static str {
@@ -108,6 +145,8 @@ impl Shape {
             Shape::Stenosis { .. } => "stenosis",
             Shape::Aneurysm { .. } => "aneurysm",
             Shape::Ellipse { .. } => "ellipse",
+            Shape::Bifurcation { .. } => "bifurcation",
+            Shape::SideBranch { .. } => "side_branch",
         }
     }
 }
@@ -136,6 +175,18 @@ impl FromStr for Shape {
                 end_half_axes_mm: [10.0, 7.0],
                 length_mm: 100.0,
             },
+            "bifurcation" => Shape::Bifurcation {
+                parent_radius_mm: 9.0,
+                daughter_radius_mm: 7.0,
+                half_angle_deg: 22.0,
+                length_mm: 100.0,
+            },
+            "side_branch" => Shape::SideBranch {
+                trunk_radius_mm: 11.0,
+                branch_radius_mm: 6.0,
+                angle_deg: 60.0,
+                length_mm: 100.0,
+            },
             other => {
                 return Err(Error::Setting {
                     name: "vessel.shape",
@@ -160,6 +211,9 @@ impl Phantom {
     /// [`Error::Setting`] where [`Phantom::validate`] refuses the dimensions.
     pub fn vessel(&self) -> Result<Vessel> {
         self.validate()?;
+        if let Some(branching) = self.branching() {
+            return branching.vessel(self.edge_mm);
+        }
         let curve = Curve::integrate(self.length_mm(), |s| self.curvature(s));
         Vessel::new(self.wall(&curve), vec![self.centreline(&curve)?])
     }
@@ -201,6 +255,19 @@ impl Phantom {
                 within("vessel.shape.sac_sd_mm", *sac_sd_mm, 1.0, *length_mm)?;
                 length(*length_mm)
             }
+            Shape::Bifurcation { parent_radius_mm, daughter_radius_mm, half_angle_deg, length_mm } => {
+                radius("vessel.shape.parent_radius_mm", *parent_radius_mm)?;
+                within("vessel.shape.daughter_radius_mm", *daughter_radius_mm, 0.5, *parent_radius_mm)?;
+                within("vessel.shape.half_angle_deg", *half_angle_deg, 5.0, 60.0)?;
+                // Shorter ones end before the two have parted.
+                within("vessel.shape.length_mm", *length_mm, 8.0 * parent_radius_mm, 2000.0)
+            }
+            Shape::SideBranch { trunk_radius_mm, branch_radius_mm, angle_deg, length_mm } => {
+                radius("vessel.shape.trunk_radius_mm", *trunk_radius_mm)?;
+                within("vessel.shape.branch_radius_mm", *branch_radius_mm, 0.5, 0.9 * trunk_radius_mm)?;
+                within("vessel.shape.angle_deg", *angle_deg, 45.0, 90.0)?;
+                within("vessel.shape.length_mm", *length_mm, 8.0 * trunk_radius_mm, 2000.0)
+            }
             Shape::Ellipse { start_half_axes_mm, end_half_axes_mm, length_mm } => {
                 for axis in start_half_axes_mm {
                     radius("vessel.shape.start_half_axes_mm", *axis)?;
@@ -222,7 +289,9 @@ impl Phantom {
             | Shape::Frustum { length_mm, .. }
             | Shape::Stenosis { length_mm, .. }
             | Shape::Aneurysm { length_mm, .. }
-            | Shape::Ellipse { length_mm, .. } => *length_mm,
+            | Shape::Ellipse { length_mm, .. }
+            | Shape::Bifurcation { length_mm, .. }
+            | Shape::SideBranch { length_mm, .. } => *length_mm,
         }
     }
 
@@ -269,6 +338,8 @@ impl Phantom {
                 let (a, b) = (start[0] + (end[0] - start[0]) * u, start[1] + (end[1] - start[1]) * u);
                 a * b / (b * angle.cos()).hypot(a * angle.sin())
             }
+            Shape::Bifurcation { parent_radius_mm: radius, .. }
+            | Shape::SideBranch { trunk_radius_mm: radius, .. } => *radius,
         }
     }
 
@@ -308,6 +379,91 @@ impl Phantom {
             (0..72).map(|j| self.radius_mm(s, f64::from(j) / 72.0 * TAU)).fold(f64::INFINITY, f64::min)
         };
         Centreline::new(stations.clone().map(|s| curve.at(s).0).collect(), stations.map(narrowest).collect())
+    }
+}
+
+/// A vessel whose wall is the union of round tubes.
+struct Branching {
+    /// What the catheter can follow, and the radius of the tube about each.
+    branches: Vec<(Curve, f64)>,
+    /// Tubes that are no branch of their own.
+    trunk: Option<Limb>,
+    /// Where the ends are cut off.
+    cut_z_mm: f64,
+    cut_x_mm: f64,
+}
+
+impl Phantom {
+    fn branching(&self) -> Option<Branching> {
+        // A bend that starts and ends softly, through `angle` from `start` on.
+        let bend = |angle: f64, start: f64, length: f64| {
+            move |s: f64| {
+                let u = ((s - start) / length).clamp(0.0, 1.0);
+                DVec2::new(angle / length * (1.0 - (TAU * u).cos()), 0.0)
+            }
+        };
+        match self.shape {
+            Shape::Bifurcation { parent_radius_mm, daughter_radius_mm, half_angle_deg, length_mm } => {
+                let angle = half_angle_deg.to_radians();
+                let daughter = |angle: f64| {
+                    // Long enough to pass the cut in spite of its bend.
+                    let curve =
+                        Curve::integrate(2.5 * length_mm, bend(angle, 0.5 * length_mm, 0.25 * length_mm));
+                    (curve, daughter_radius_mm)
+                };
+                Some(Branching {
+                    branches: vec![daughter(angle), daughter(-angle)],
+                    trunk: Some(Limb {
+                        middle_mm: vec![DVec3::Z * -2.0 * parent_radius_mm, DVec3::Z * 0.55 * length_mm],
+                        radius_mm: parent_radius_mm,
+                    }),
+                    cut_z_mm: length_mm,
+                    cut_x_mm: f64::INFINITY,
+                })
+            }
+            Shape::SideBranch { trunk_radius_mm, branch_radius_mm, angle_deg, length_mm } => {
+                let trunk = Curve::integrate(1.5 * length_mm, |_| DVec2::ZERO);
+                let turn = bend(angle_deg.to_radians(), length_mm / 3.0, 0.25 * length_mm);
+                let branch = Curve::integrate(2.5 * length_mm, turn);
+                Some(Branching {
+                    branches: vec![(trunk, trunk_radius_mm), (branch, branch_radius_mm)],
+                    trunk: None,
+                    cut_z_mm: length_mm,
+                    cut_x_mm: trunk_radius_mm + 0.25 * length_mm,
+                })
+            }
+            _ => None,
+        }
+    }
+}
+
+impl Branching {
+    fn vessel(self, edge_mm: f64) -> Result<Vessel> {
+        let inside = |p: DVec3| p.z <= self.cut_z_mm && p.x <= self.cut_x_mm;
+        let mut limbs: Vec<Limb> = self.trunk.into_iter().collect();
+        for (curve, radius_mm) in &self.branches {
+            // Round ends lie beyond the cuts.
+            let before = DVec3::Z * -2.0 * radius_mm;
+            let middle_mm = std::iter::once(before).chain(curve.points.iter().copied().step_by(40)).collect();
+            limbs.push(Limb { middle_mm, radius_mm: *radius_mm });
+        }
+        let centreline = |(curve, _): &(Curve, f64)| {
+            let points: Vec<DVec3> =
+                curve.points.iter().copied().step_by(20).take_while(|p| inside(*p)).collect();
+            let radii = points.iter().map(|p| -branching::distance_mm(&limbs, *p)).collect();
+            Centreline::new(points, radii)
+        };
+        let centrelines = self.branches.iter().map(centreline).collect::<Result<Vec<_>>>()?;
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for limb in &limbs {
+            for p in limb.middle_mm.iter().filter(|p| p.z <= self.cut_z_mm + 2.0 * limb.radius_mm) {
+                low = low.min(p - limb.radius_mm - edge_mm);
+                high = high.max(p + limb.radius_mm + edge_mm);
+            }
+        }
+        let low = low.with_z(0.0);
+        let high = high.min(DVec3::new(self.cut_x_mm, f64::INFINITY, self.cut_z_mm));
+        Vessel::new(branching::wall(&limbs, low, high, edge_mm), centrelines)
     }
 }
 
