@@ -4,7 +4,7 @@
 mod support;
 
 use glam::{DQuat, DVec3};
-use lumenmesh::recording::Frame;
+use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::simulate::{
     Centreline, ContourNoise, Insertion, Move, Noise, Phantom, Probe, Settings, Shape, Simulation,
     TrackerNoise, Vessel,
@@ -173,6 +173,20 @@ fn a_pulsating_cylinder_widens_by_the_fraction_asked_for() {
     assert!(
         (ratio(0) - 1.0).abs() < 1e-12 && (ratio(3) - 1.1).abs() < 1e-12 && (ratio(9) - 0.9).abs() < 1e-12
     );
+}
+
+#[test]
+fn a_bent_tip_stays_inside_when_the_vessel_narrows() {
+    let shape = Shape::Cylinder { radius_mm: 6.0, length_mm: 60.0 };
+    let noise = Noise { pulsation_fraction: 0.4, ..Noise::none() };
+    let settings = Settings { noise, ..Settings::default() };
+    let simulation = Simulation::run(Phantom::from(shape).vessel().unwrap(), &settings).unwrap();
+    assert!(!simulation.reduced_bends.is_empty());
+    for (k, frame) in simulation.recording.frames.iter().enumerate() {
+        let off_mm = frame.world_from_sensor.translation_mm.truncate().length();
+        let wall_mm = 6.0 * (1.0 - 0.4);
+        assert!(off_mm < wall_mm, "frame {k}: {off_mm} mm off the middle of a tube of {wall_mm} mm");
+    }
 }
 
 #[test]
@@ -467,4 +481,57 @@ fn tracker_noise_is_that_of_the_sensor_that_lay_still() {
     let message = |sensor: &str| TrackerNoise::read(&path, Some(sensor)).unwrap_err().to_string();
     assert!(message("moved").contains("positions 50.0 mm apart"), "{}", message("moved"));
     assert!(message("other").contains("one of moved, still"), "{}", message("other"));
+}
+
+#[cfg(feature = "cli")]
+#[test]
+fn the_command_writes_what_it_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let output = std::process::Command::new(env!("CARGO_BIN_EXE_lumenmesh"))
+            .args(arguments)
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        (output.status.code(), text(&output.stdout), text(&output.stderr))
+    };
+    let (status, out, err) = run(&[
+        "simulate",
+        "--vessel",
+        "cylinder",
+        "--steady",
+        "--seed",
+        "5",
+        "--dropouts",
+        "0.1",
+        "--cylinders",
+        "-o",
+        "pullback",
+        "--truth",
+        "wall.vtp",
+        "--truth-recording",
+        "truth.mat",
+        "--json",
+    ]);
+    assert_eq!((status, err.as_str()), (Some(0), ""));
+    let summary: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let recording = Recording::read(&folder.path().join("pullback")).unwrap();
+    let missing: usize = recording.frames.iter().map(Frame::missing_echoes).sum();
+    assert_eq!(summary["frames"], recording.frames.len());
+    assert_eq!(summary["missing_echoes"], missing);
+    assert_eq!(summary["settings"]["noise"]["seed"], 5);
+    assert!(recording.frames.iter().all(|f| f.cylinder.is_some()));
+    let truth = Recording::read(&folder.path().join("truth.mat")).unwrap();
+    assert_eq!(truth.frames.len(), recording.frames.len());
+    assert_eq!(&Surface::read(&folder.path().join("wall.vtp")).unwrap(), phantom("cylinder").surface());
+
+    std::fs::write(folder.path().join("settings.toml"), "[noise]\nsed = 5\n").unwrap();
+    let (status, _, err) = run(&["simulate", "--config", "settings.toml", "-o", "other"]);
+    assert!(status == Some(1) && err.contains("settings.toml") && err.contains("sed"), "{err}");
+    let (status, _, err) = run(&["simulate", "--vessel", "tube", "-o", "other"]);
+    assert!(status == Some(1) && err.contains("found tube, expected one of aorta"), "{err}");
+    let (status, _, err) = run(&["simulate", "--vessel", "wall.vtp", "-o", "other"]);
+    assert!(status == Some(1) && err.contains("--centreline"), "{err}");
+    assert!(!folder.path().join("other").exists());
 }

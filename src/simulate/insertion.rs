@@ -125,6 +125,7 @@ pub(super) struct Path<'a> {
     centreline: &'a Centreline,
     /// When each leg starts, what it starts from; the last entry ends the last leg.
     legs: Vec<(f64, State)>,
+    least_scale: f64,
     pub reduced_bends: Vec<ReducedBend>,
 }
 
@@ -182,8 +183,9 @@ impl Insertion {
         Ok(())
     }
 
-    /// Plans the moves through a vessel. The settings are taken to be valid.
-    pub(super) fn plan<'a>(&'a self, vessel: &'a Vessel) -> Result<Path<'a>> {
+    /// Plans the moves through a vessel that shrinks to `least_scale` of its size at times. The settings are taken
+    /// to be valid.
+    pub(super) fn plan<'a>(&'a self, vessel: &'a Vessel, least_scale: f64) -> Result<Path<'a>> {
         let Some(centreline) = vessel.branches().get(self.branch) else {
             return Err(Error::Setting {
                 name: "insertion.branch",
@@ -201,8 +203,13 @@ impl Insertion {
             });
         }
         let start = State { s_mm: self.start_mm, bend_rad: 0.0, plane_rad: 0.0 };
-        let mut path =
-            Path { insertion: self, centreline, legs: vec![(0.0, start)], reduced_bends: Vec::new() };
+        let mut path = Path {
+            insertion: self,
+            centreline,
+            legs: vec![(0.0, start)],
+            least_scale,
+            reduced_bends: Vec::new(),
+        };
         let (mut state, mut time_s, mut arrived) = (start, 0.0, false);
         loop {
             for step in &self.moves {
@@ -346,11 +353,12 @@ impl Path<'_> {
     /// passed.
     fn wall_too_near(&self, vessel: &Vessel, state: State, clearance_mm: f64) -> Option<Option<f64>> {
         let middle = self.centreline.at(state.s_mm).0;
-        let tip = self.tip_in(state).translation_mm;
+        // In a smaller vessel the tip is further out: enlarging its way from the middle has the same effect.
+        let tip = middle + (self.tip_in(state).translation_mm - middle) / self.least_scale;
         if vessel.wall_between(middle, tip) {
             return Some(None);
         }
-        let distance_mm = vessel.distance_mm(tip);
+        let distance_mm = vessel.distance_mm(tip) * self.least_scale;
         (distance_mm < clearance_mm).then_some(Some(distance_mm))
     }
 

@@ -99,7 +99,7 @@ impl Simulation {
         tell: &(dyn Fn(usize, usize) + Sync),
     ) -> Result<Self> {
         settings.validate()?;
-        let path = settings.insertion.plan(&vessel)?;
+        let path = settings.insertion.plan(&vessel, 1.0 - settings.noise.pulsation_fraction)?;
         let frames = path.frames();
         let drift = settings.noise.drift(frames, path.time_s(1));
         let done = std::sync::atomic::AtomicUsize::new(0);
