@@ -214,6 +214,8 @@ impl Phantom {
         if let Some(branching) = self.branching() {
             return branching.vessel(self.edge_mm);
         }
+        // No shape is wider than its widest radius all along.
+        not_too_fine(self.edge_mm, TAU * self.widest_mm() * self.length_mm() / self.edge_mm.powi(2))?;
         let curve = Curve::integrate(self.length_mm(), |s| self.curvature(s));
         Vessel::new(self.wall(&curve), vec![self.centreline(&curve)?])
     }
@@ -343,13 +345,17 @@ impl Phantom {
         }
     }
 
+    /// The largest distance from the centreline to the wall, mm.
+    fn widest_mm(&self) -> f64 {
+        (0..=1000)
+            .flat_map(|i| (0..12).map(move |j| (f64::from(i) / 1000.0, f64::from(j) / 12.0 * TAU)))
+            .map(|(u, angle)| self.radius_mm(u * self.length_mm(), angle))
+            .fold(0.0, f64::max)
+    }
+
     fn wall(&self, curve: &Curve) -> Surface {
         let length = self.length_mm();
-        let widest = (0..=1000)
-            .flat_map(|i| (0..12).map(move |j| (f64::from(i) / 1000.0 * length, f64::from(j) / 12.0 * TAU)))
-            .map(|(s, angle)| self.radius_mm(s, angle))
-            .fold(0.0, f64::max);
-        let around = (TAU * widest / self.edge_mm).ceil().max(12.0) as u32;
+        let around = (TAU * self.widest_mm() / self.edge_mm).ceil().max(12.0) as u32;
         let along = (length / self.edge_mm).ceil().max(1.0) as u32;
         let mut surface = Surface::default();
         for l in 0..=along {
@@ -463,8 +469,22 @@ impl Branching {
         }
         let low = low.with_z(0.0);
         let high = high.min(DVec3::new(self.cut_x_mm, f64::INFINITY, self.cut_z_mm));
+        not_too_fine(edge_mm, ((high - low) / edge_mm).element_product())?;
         Vessel::new(branching::wall(&limbs, low, high, edge_mm), centrelines)
     }
+}
+
+/// Refuses edges so short that the wall does not fit in memory.
+fn not_too_fine(edge_mm: f64, pieces: f64) -> Result<()> {
+    const MOST: f64 = 3e7;
+    if pieces <= MOST {
+        return Ok(());
+    }
+    Err(Error::Setting {
+        name: "vessel.edge_mm",
+        found: format!("{edge_mm}, which makes {pieces:.0} pieces"),
+        expected: format!("longer edges, at most {MOST:.0} pieces"),
+    })
 }
 
 /// 0 up to 0, 1 from 1 on, with continuous slope.
@@ -527,6 +547,22 @@ mod tests {
         for name in Shape::NAMES {
             let vessel = Phantom::from(name.parse::<Shape>().unwrap()).vessel().unwrap();
             assert_eq!(vessel.notes(), [] as [&str; 0], "{name}");
+        }
+    }
+
+    #[test]
+    fn a_wall_that_does_not_fit_in_memory_is_refused() {
+        for shape in [
+            Shape::Cylinder { radius_mm: 100.0, length_mm: 2000.0 },
+            Shape::Bifurcation {
+                parent_radius_mm: 20.0,
+                daughter_radius_mm: 15.0,
+                half_angle_deg: 30.0,
+                length_mm: 2000.0,
+            },
+        ] {
+            let error = Phantom { shape, edge_mm: 0.1 }.vessel().unwrap_err();
+            assert!(error.to_string().contains("vessel.edge_mm: found 0.1, which makes"), "{error}");
         }
     }
 
