@@ -391,7 +391,8 @@ fn draw_mesh(
                 Some(values) => values.colour(va * a + vb * b + vc * c),
                 None => WALL,
             };
-            let shade = 0.55 + 0.45 * normal.dot(light).max(0.0);
+            // Light wraps round, so that relief shows on the far side too.
+            let shade = 0.4 + 0.3 * (1.0 + normal.dot(light));
             colour.times((if outside { shade } else { 0.6 * shade }) as f32)
         });
     }
