@@ -14,6 +14,8 @@ pub mod merge;
 pub mod output;
 pub mod reconstruction;
 pub mod recording;
+#[cfg(feature = "render")]
+pub mod report;
 pub mod settings;
 pub mod simulate;
 pub mod surface;

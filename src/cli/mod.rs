@@ -6,7 +6,9 @@ mod import;
 mod info;
 mod progress;
 mod reconstruct;
+mod render;
 mod settings;
+mod simulate;
 
 use crate::{Error, Result};
 use clap::{Parser, Subcommand};
@@ -26,6 +28,8 @@ enum Command {
     Info(info::Arguments),
     Import(import::Arguments),
     Demo(demo::Arguments),
+    Simulate(simulate::Arguments),
+    Render(render::Arguments),
 }
 
 /// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong.
@@ -36,6 +40,8 @@ pub fn main() -> ExitCode {
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Demo(arguments) => arguments.run(),
+        Command::Simulate(arguments) => arguments.run(),
+        Command::Render(arguments) => arguments.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

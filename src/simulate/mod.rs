@@ -1,1 +1,215 @@
-//! Vessels, catheters and probes that exist only here: recordings whose truth is known.
+//! Simulated recordings: a vessel that is known exactly, a catheter that moves through it, a probe that sees its
+//! wall, and noise.
+//!
+//! Phantom or any surface → [`Vessel`] → [`Insertion`] → [`Probe`] → [`Noise`] → [`Simulation`].
+//!
+//! ```
+//! use lumenmesh::simulate::{Insertion, Phantom, Settings, Shape, Simulation};
+//!
+//! let vessel = Phantom::from("cylinder".parse::<Shape>()?).vessel()?;
+//! let settings = Settings { insertion: Insertion::steady(), ..Settings::default() };
+//! let simulation = Simulation::run(vessel, &settings)?;
+//! assert_eq!(simulation.recording.frames.len(), simulation.truth_recording.frames.len());
+//! # Ok::<(), lumenmesh::Error>(())
+//! ```
+
+mod branching;
+mod centreline;
+mod insertion;
+mod noise;
+mod phantom;
+mod probe;
+mod tracker;
+mod vessel;
+
+pub use centreline::Centreline;
+pub use insertion::{Insertion, Move, ReducedBend};
+pub use noise::{ContourNoise, Noise};
+pub use phantom::{Phantom, Shape};
+pub use probe::Probe;
+pub use tracker::TrackerNoise;
+pub use vessel::Vessel;
+
+use crate::cylinder::CylinderModel;
+use crate::geometry::Pose;
+use crate::recording::{Frame, Recording};
+use crate::{Error, Result};
+use glam::{DVec2, DVec3};
+use noise::FrameNoise;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// All that decides what a simulated recording looks like, but for the vessel.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// How the catheter moves.
+    pub insertion: Insertion,
+    /// What the probe sees.
+    pub probe: Probe,
+    /// What goes wrong.
+    pub noise: Noise,
+    /// Whether every frame carries a local cylinder: the tangent of the centreline at its point nearest to the
+    /// tip, and the inscribed radius there, with the noise that [`Noise`] asks for.
+    pub cylinders: bool,
+}
+
+impl Settings {
+    /// Refuses what cannot be simulated in any vessel.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] with the first setting to blame.
+    pub fn validate(&self) -> Result<()> {
+        self.insertion.validate()?;
+        self.probe.validate()?;
+        self.noise.validate()
+    }
+}
+
+/// A simulated recording and the truth that it shows.
+#[derive(Debug, Clone)]
+pub struct Simulation {
+    /// What tracker and probe deliver. The probe is the sensor: `eTi` is the identity.
+    pub recording: Recording,
+    /// The same frames without any fault, in the vessel at rest: true poses, wall points exactly on the wall.
+    pub truth_recording: Recording,
+    /// The vessel.
+    pub vessel: Vessel,
+    /// Bends that were reduced to keep the tip in the lumen.
+    pub reduced_bends: Vec<ReducedBend>,
+}
+
+impl Simulation {
+    /// Simulates a recording. The same vessel and settings give the same numbers, whatever the number of threads.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] for settings that are out of range or do not suit the vessel, [`Error::Surface`] where
+    /// the catheter's tip would leave the lumen.
+    pub fn run(vessel: Vessel, settings: &Settings) -> Result<Self> {
+        Self::run_and_tell(vessel, settings, &|_, _| ())
+    }
+
+    /// [`Simulation::run`] that tells how far it is: `tell(frames done, frames in all)`, from any thread.
+    ///
+    /// # Errors
+    /// As [`Simulation::run`].
+    pub fn run_and_tell(
+        vessel: Vessel,
+        settings: &Settings,
+        tell: &(dyn Fn(usize, usize) + Sync),
+    ) -> Result<Self> {
+        settings.validate()?;
+        let path = settings.insertion.plan(&vessel, 1.0 - settings.noise.pulsation_fraction)?;
+        let frames = path.frames();
+        let drift = settings.noise.drift(frames, path.time_s(1));
+        let done = std::sync::atomic::AtomicUsize::new(0);
+        let pairs = drift
+            .into_par_iter()
+            .enumerate()
+            .map(|(k, drift)| {
+                path.check(&vessel, path.time_s(k))?;
+                let pair = frame(&vessel, settings, &path, k, drift);
+                tell(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1, frames);
+                Ok(pair)
+            })
+            // Collecting results in parallel would give the first error in time, not in frame order.
+            .collect::<Vec<Result<_>>>()
+            .into_iter()
+            .collect::<Result<Vec<_>>>()?;
+        let (recording, truth): (Vec<Frame>, Vec<Frame>) = pairs.into_iter().unzip();
+        let reduced_bends = path.reduced_bends;
+        Ok(Self {
+            recording: Recording { frames: recording },
+            truth_recording: Recording { frames: truth },
+            vessel,
+            reduced_bends,
+        })
+    }
+}
+
+/// Frame `k` as recorded, and in truth.
+fn frame(
+    vessel: &Vessel,
+    settings: &Settings,
+    path: &insertion::Path,
+    k: usize,
+    drift: (DVec3, DVec3),
+) -> (Frame, Frame) {
+    let Settings { probe, noise, .. } = settings;
+    let time_s = path.time_s(k);
+    let tip = path.tip(time_s);
+    let true_ranges = probe.ranges_mm(vessel, &tip);
+    let scale = noise.vessel_scale(time_s);
+    let ranges = if scale == 1.0 {
+        true_ranges.clone()
+    } else {
+        let middle = path.centreline().at(path.station_mm(time_s)).0;
+        probe.ranges_in_scaled_mm(vessel, &tip, middle, scale)
+    };
+    let mut of_frame = noise.of_frame(k);
+    let tracked = of_frame.pose(&path.tip(time_s - noise.latency_s), drift);
+    let true_cylinder = settings
+        .cylinders
+        .then(|| local_cylinder(path, time_s, &tip, (DVec2::ZERO, DVec2::ZERO, 0.0)))
+        .flatten();
+    let cylinder_noise = of_frame.cylinder();
+    let cylinder = settings.cylinders.then(|| local_cylinder(path, time_s, &tip, cylinder_noise)).flatten();
+    let truth = Frame {
+        world_from_sensor: tip,
+        time_s: Some(time_s),
+        contour_mm: contour(&true_ranges, probe, |range, direction| direction * range),
+        cylinder: true_cylinder,
+    };
+    let recorded = Frame {
+        world_from_sensor: tracked,
+        time_s: Some(time_s),
+        contour_mm: noisy_contour(&ranges, probe, &mut of_frame),
+        cylinder,
+    };
+    (recorded, truth)
+}
+
+fn contour(ranges_mm: &[f64], probe: &Probe, mut point: impl FnMut(f64, DVec2) -> DVec2) -> Vec<DVec2> {
+    ranges_mm
+        .iter()
+        .enumerate()
+        .map(|(ray, &range)| {
+            let p = point(range, probe.direction(ray));
+            if p.is_nan() { DVec2::NAN } else { p }
+        })
+        .collect()
+}
+
+fn noisy_contour(ranges_mm: &[f64], probe: &Probe, noise: &mut FrameNoise) -> Vec<DVec2> {
+    contour(ranges_mm, probe, |range, direction| noise.contour_point(range, direction, probe.range_mm))
+}
+
+/// The vessel about a frame as a cylinder in `{e}`; `None` where its axis runs along the plane z = 0.
+fn local_cylinder(
+    path: &insertion::Path,
+    time_s: f64,
+    tip: &Pose,
+    (position, axis, radius): (DVec2, DVec2, f64),
+) -> Option<CylinderModel> {
+    let centreline = path.centreline();
+    let station = path.station_mm(time_s);
+    let s = centreline.nearest_mm(tip.translation_mm, station, path.bending_length_mm());
+    let local = tip.inverse() * centreline.frame(s);
+    let axis = (local.rotation * axis.extend(1.0)).normalize();
+    if axis.z.abs() < 0.1 {
+        return None;
+    }
+    let middle = local.translation_mm;
+    let p = middle - axis * (middle.z / axis.z);
+    let radius_mm = (centreline.inscribed_radius_at_mm(s) + radius).max(0.1);
+    Some(CylinderModel::from_axis(p.x + position.x, p.y + position.y, axis, radius_mm))
+}
+
+fn within(name: &'static str, value: f64, low: f64, high: f64) -> Result<()> {
+    // Not a number is in no range.
+    if (low..=high).contains(&value) {
+        Ok(())
+    } else {
+        Err(Error::Setting { name, found: value.to_string(), expected: format!("{low} to {high}") })
+    }
+}

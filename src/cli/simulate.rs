@@ -1,0 +1,372 @@
+use super::{print_json, progress};
+use crate::output;
+use crate::simulate::{
+    Centreline, Insertion, Noise, Phantom, Probe, ReducedBend, Settings, Shape, Simulation, TrackerNoise,
+    Vessel,
+};
+use crate::surface::{self, Surface};
+use crate::{Error, Result};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Simulate a recording in a vessel that is known exactly
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  lumenmesh simulate -o recording/
+  lumenmesh simulate --vessel cylinder --noise none --steady -o pullback.mat --truth wall.vtp
+  lumenmesh simulate --vessel aorta.stl --centreline aorta_centreline.csv --branch 1 -o recording/
+  lumenmesh simulate --config simulation.toml --seed 7 -o recording/ --truth-recording truth/
+  lumenmesh simulate --tracker-noise static_sensor.csv --sensor Reference -o recording/
+
+A settings file:
+  cylinders = false
+  [vessel]
+  edge_mm = 1.2
+  shape.cylinder = { radius_mm = 12.0, length_mm = 100.0 }
+  [insertion]
+  repeat = true
+  moves = [{ advance = { distance_mm = 20.0 } }, { bend = { angle_deg = 30.0 } },
+           { turn = { angle_deg = 360.0 } }, { bend = { angle_deg = 0.0 } }]
+  [probe]
+  rays = 90
+  range_mm = 30.0
+  [noise]
+  seed = 1
+  contour_sd_mm = 1.0
+  dropout_probability = 0.02")]
+pub(super) struct Arguments {
+    /// Recording to write: a .mat file, else a folder of CSV files
+    #[arg(short, long, value_name = "REC")]
+    output: PathBuf,
+    /// A phantom (aorta, cylinder, frustum, arch, stenosis, aneurysm, ellipse, bifurcation,
+    /// side_branch) or a surface file in mm
+    /// (.vtp, .ply, .stl, .obj) [default: aorta]
+    #[arg(long, value_name = "NAME|SURFACE")]
+    vessel: Option<String>,
+    /// Centrelines of a surface file: CSV with branch, x_mm, y_mm, z_mm, r_inscribed_mm
+    #[arg(long, value_name = "CSV")]
+    centreline: Option<PathBuf>,
+    /// Also write the wall: .vtp, .ply, .stl or .obj
+    #[arg(long, value_name = "MESH")]
+    truth: Option<PathBuf>,
+    /// Also write the recording without any noise
+    #[arg(long, value_name = "REC")]
+    truth_recording: Option<PathBuf>,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    settings: SettingsArguments,
+}
+
+/// The commonest settings as flags; a settings file has them all.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Settings")]
+struct SettingsArguments {
+    /// Read settings from a TOML file; flags override it
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Go through this branch of the vessel, counted from 0 [default: 0]
+    #[arg(long, value_name = "N")]
+    branch: Option<usize>,
+    /// Go straight on, without bending the tip
+    #[arg(long)]
+    steady: bool,
+    /// Start so far along the centreline, mm [default: 5]
+    #[arg(long, value_name = "MM")]
+    start: Option<f64>,
+    /// Stop so far along the centreline, mm [default: 5 before its end]
+    #[arg(long, value_name = "MM")]
+    end: Option<f64>,
+    /// Rays per frame [default: 90]
+    #[arg(long, value_name = "COUNT")]
+    rays: Option<usize>,
+    /// Range of the probe, mm [default: 30]
+    #[arg(long, value_name = "MM")]
+    range: Option<f64>,
+    /// Give every frame its local cylinder
+    #[arg(long)]
+    cylinders: bool,
+    /// Where the random numbers start from [default: 1]
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Noise to start from: the thesis's levels or none [default: thesis]
+    #[arg(long, value_enum)]
+    noise: Option<Level>,
+    /// Tracked position: standard deviation in each axis, mm [default: 0.3]
+    #[arg(long, value_name = "MM")]
+    position_noise: Option<f64>,
+    /// Tracked orientation: standard deviation in each axis, degrees [default: 0.5]
+    #[arg(long, value_name = "DEG")]
+    rotation_noise: Option<f64>,
+    /// Take both from a CSV of poses of a tracker's sensor that lay still
+    #[arg(long, value_name = "CSV", conflicts_with_all = ["position_noise", "rotation_noise"])]
+    tracker_noise: Option<PathBuf>,
+    /// The sensor in that file
+    #[arg(long, value_name = "NAME", requires = "tracker_noise")]
+    sensor: Option<String>,
+    /// Contour points: standard deviation in x and in y, mm [default: 1]
+    #[arg(long, value_name = "MM")]
+    contour_noise: Option<f64>,
+    /// Chance of a ray to lose its echo [default: 0]
+    #[arg(long, value_name = "P")]
+    dropouts: Option<f64>,
+    /// Chance of a ray to bring a wrong echo [default: 0]
+    #[arg(long, value_name = "P")]
+    spikes: Option<f64>,
+    /// Drift of the tracked position, mm per square root of a second [default: 0]
+    #[arg(long, value_name = "MM")]
+    drift: Option<f64>,
+    /// How much older than its contour a pose is, s [default: 0]
+    #[arg(long, value_name = "S", allow_hyphen_values = true)]
+    latency: Option<f64>,
+    /// How much the vessel widens with the heart, as a fraction [default: 0]
+    #[arg(long, value_name = "FRACTION")]
+    pulsation: Option<f64>,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Level {
+    Thesis,
+    None,
+}
+
+/// A settings file.
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Config {
+    vessel: Option<Phantom>,
+    insertion: Insertion,
+    probe: Probe,
+    noise: Noise,
+    cylinders: bool,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Summary<'a> {
+    recording: &'a Path,
+    vessel: &'a str,
+    triangles: usize,
+    branches: usize,
+    branch_length_mm: f64,
+    frames: usize,
+    duration_s: f64,
+    rays: usize,
+    echoes: usize,
+    missing_echoes: usize,
+    repairs: &'a [String],
+    reduced_bends: &'a [ReducedBend],
+    tracker: &'a Option<TrackerNoise>,
+    settings: &'a Settings,
+    truth: &'a Option<PathBuf>,
+    truth_recording: &'a Option<PathBuf>,
+}
+
+impl Arguments {
+    pub(super) fn run(self) -> Result<()> {
+        if let Some(path) = &self.truth {
+            surface::check_ending(path)?;
+        }
+        let config = self.settings.config()?;
+        let (name, vessel) = self.vessel(config.vessel)?;
+        let mut settings = Settings {
+            insertion: config.insertion,
+            probe: config.probe,
+            noise: config.noise,
+            cylinders: config.cylinders,
+        };
+        let tracker = self.settings.override_settings(&mut settings)?;
+
+        let bar = progress::bar("simulating frames", 0);
+        let done = Simulation::run_and_tell(vessel, &settings, &|done, all| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        });
+        bar.finish_and_clear();
+        let simulation = done?;
+
+        simulation.recording.write(&self.output)?;
+        if let Some(path) = &self.truth {
+            simulation.vessel.surface().write(path)?;
+        }
+        if let Some(path) = &self.truth_recording {
+            simulation.truth_recording.write(path)?;
+        }
+        let frames = &simulation.recording.frames;
+        let missing_echoes = frames.iter().map(|f| f.missing_echoes()).sum();
+        let vessel = &simulation.vessel;
+        let summary = Summary {
+            recording: &self.output,
+            vessel: &name,
+            triangles: vessel.surface().triangles.len(),
+            branches: vessel.branches().len(),
+            branch_length_mm: vessel
+                .branches()
+                .get(settings.insertion.branch)
+                .map_or(0.0, Centreline::length_mm),
+            frames: frames.len(),
+            duration_s: frames.last().and_then(|f| f.time_s).unwrap_or_default(),
+            rays: settings.probe.rays,
+            echoes: frames.iter().map(|f| f.contour_mm.len()).sum::<usize>() - missing_echoes,
+            missing_echoes,
+            repairs: vessel.notes(),
+            reduced_bends: &simulation.reduced_bends,
+            tracker: &tracker,
+            settings: &settings,
+            truth: &self.truth,
+            truth_recording: &self.truth_recording,
+        };
+        if self.json {
+            return print_json(&summary);
+        }
+        summary.print();
+        Ok(())
+    }
+
+    /// The vessel, and what to call it. A flag goes before the settings file.
+    fn vessel(&self, configured: Option<Phantom>) -> Result<(String, Vessel)> {
+        let flag = self.vessel.as_deref();
+        match flag.map(Path::new) {
+            Some(path) if !output::ending(path).is_empty() => {
+                let Some(centreline) = &self.centreline else {
+                    return Err(Error::Setting {
+                        name: "--centreline",
+                        found: "none".into(),
+                        expected: format!("the centrelines of {}", path.display()),
+                    });
+                };
+                let surface = Surface::read(path)?;
+                let vessel = Vessel::new(surface, Centreline::read_branches(centreline)?)?;
+                Ok((path.display().to_string(), vessel))
+            }
+            _ => {
+                if self.centreline.is_some() {
+                    return Err(Error::Setting {
+                        name: "--centreline",
+                        found: "a phantom, which has its own".into(),
+                        expected: "--vessel SURFACE".into(),
+                    });
+                }
+                let phantom = match (flag, configured) {
+                    (None, Some(phantom)) => phantom,
+                    (None, None) => Shape::Aorta.into(),
+                    (Some(name), configured) => {
+                        let phantom = Phantom::from(name.parse::<Shape>()?);
+                        Phantom { edge_mm: configured.map_or(phantom.edge_mm, |c| c.edge_mm), ..phantom }
+                    }
+                };
+                Ok((format!("{} phantom", phantom.shape.name()), phantom.vessel()?))
+            }
+        }
+    }
+}
+
+impl SettingsArguments {
+    fn config(&self) -> Result<Config> {
+        let Some(path) = &self.config else {
+            return Ok(Config::default());
+        };
+        let text =
+            std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.clone(), source })?;
+        toml::from_str(&text)
+            .map_err(|e| Error::input(path, "settings", e.to_string().trim_end(), "settings as TOML"))
+    }
+
+    /// Puts the flags on top of the settings; says what was measured of a tracker, if anything was.
+    fn override_settings(&self, settings: &mut Settings) -> Result<Option<TrackerNoise>> {
+        fn set<T: Copy>(field: &mut T, flag: Option<T>) {
+            if let Some(value) = flag {
+                *field = value;
+            }
+        }
+        let Settings { insertion, probe, noise, cylinders } = settings;
+        set(&mut insertion.branch, self.branch);
+        if self.steady {
+            insertion.moves = Insertion::steady().moves;
+            insertion.repeat = true;
+        }
+        set(&mut insertion.start_mm, self.start);
+        insertion.end_mm = self.end.or(insertion.end_mm);
+        set(&mut probe.rays, self.rays);
+        set(&mut probe.range_mm, self.range);
+        *cylinders |= self.cylinders;
+        match self.noise {
+            Some(Level::None) => *noise = Noise { seed: noise.seed, ..Noise::none() },
+            Some(Level::Thesis) => *noise = Noise { seed: noise.seed, ..Noise::default() },
+            None => (),
+        }
+        set(&mut noise.seed, self.seed);
+        set(&mut noise.position_sd_mm, self.position_noise);
+        set(&mut noise.rotation_sd_deg, self.rotation_noise);
+        set(&mut noise.contour_sd_mm, self.contour_noise);
+        set(&mut noise.dropout_probability, self.dropouts);
+        set(&mut noise.spike_probability, self.spikes);
+        set(&mut noise.position_drift_mm_per_sqrt_s, self.drift);
+        set(&mut noise.latency_s, self.latency);
+        set(&mut noise.pulsation_fraction, self.pulsation);
+        let Some(path) = &self.tracker_noise else {
+            return Ok(None);
+        };
+        let tracker = TrackerNoise::read(path, self.sensor.as_deref())?;
+        tracker.apply(noise);
+        Ok(Some(tracker))
+    }
+}
+
+impl Summary<'_> {
+    fn print(&self) {
+        let (insertion, noise) = (&self.settings.insertion, &self.settings.noise);
+        println!("vessel     {}: {} triangles", self.vessel, self.triangles);
+        for repair in self.repairs {
+            println!("           {repair}");
+        }
+        println!(
+            "insertion  branch {} (of {}), {:.1} mm long, from {:.1} to {:.1} mm",
+            insertion.branch,
+            self.branches,
+            self.branch_length_mm,
+            insertion.start_mm,
+            insertion.end_in_mm(self.branch_length_mm)
+        );
+        if let Some(least) = self.reduced_bends.iter().min_by(|a, b| a.used_deg.total_cmp(&b.used_deg)) {
+            println!(
+                "           {} bends reduced to keep the tip in the lumen, the most at {:.0} mm: {}° to {:.1}°",
+                self.reduced_bends.len(),
+                least.s_mm,
+                least.asked_deg,
+                least.used_deg
+            );
+        }
+        println!("frames     {} at {} Hz, {:.1} s", self.frames, insertion.frame_rate_hz, self.duration_s);
+        println!(
+            "echoes     {} recorded, {} missing, {} rays a frame",
+            self.echoes, self.missing_echoes, self.rays
+        );
+        println!(
+            "noise      seed {}: position {} mm, rotation {}°, contour {} mm (standard deviations)",
+            noise.seed,
+            rounded(noise.position_sd_mm),
+            rounded(noise.rotation_sd_deg),
+            rounded(noise.contour_sd_mm)
+        );
+        if let Some(tracker) = self.tracker {
+            println!(
+                "           position and rotation from {} poses of sensor {}",
+                tracker.poses, tracker.sensor
+            );
+        }
+        println!("recording  {}", self.recording.display());
+        if let Some(path) = self.truth {
+            println!("truth      {}", path.display());
+        }
+        if let Some(path) = self.truth_recording {
+            println!("truth      {}", path.display());
+        }
+    }
+}
+
+/// At most four decimals, and no more than there are.
+fn rounded(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
+}

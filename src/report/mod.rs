@@ -1,0 +1,3 @@
+//! What a person looks at: pictures of meshes.
+
+pub mod render;

@@ -1,0 +1,290 @@
+//! The truth: a vessel's wall and the curves down its middle.
+
+use super::centreline::Centreline;
+use crate::surface::Surface;
+use crate::{Error, Result};
+use glam::DVec3;
+use parry3d_f64::query::{PointQuery, Ray, RayCast};
+use parry3d_f64::shape::TriMesh;
+
+/// A vessel to simulate in: its wall, known exactly, and the centrelines of its branches.
+///
+/// The wall is one piece with open ends; its triangles run counter-clockwise seen from outside.
+#[derive(Debug, Clone)]
+pub struct Vessel {
+    surface: Surface,
+    branches: Vec<Centreline>,
+    notes: Vec<String>,
+    wall: TriMesh,
+}
+
+impl Vessel {
+    /// A vessel from any triangle surface and at least one centreline.
+    ///
+    /// Two faults are repaired, and said in [`Vessel::notes`]: pieces beside the largest one are dropped, and
+    /// triangles are turned so that their normals point out of the lumen.
+    ///
+    /// # Errors
+    /// [`Error::Surface`] for an empty surface, indices without a node, coordinates that are not finite, a size
+    /// that can not be in mm, and a centreline that leaves the vessel.
+    pub fn new(mut surface: Surface, branches: Vec<Centreline>) -> Result<Self> {
+        check_nodes(&surface)?;
+        let mut notes = Vec::new();
+        orient(&mut surface, &mut notes);
+        if branches.is_empty() {
+            return Err(wrong("centreline", "none", "at least one branch"));
+        }
+        let wall = TriMesh::new(surface.nodes_mm.clone(), surface.triangles.clone())
+            .map_err(|e| wrong("triangles", e, "a triangle surface"))?;
+        let mut vessel = Self { surface, branches, notes, wall };
+        vessel.turn_outward();
+        vessel.check_centrelines()?;
+        Ok(vessel)
+    }
+
+    /// The wall.
+    pub fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    /// The centrelines.
+    pub fn branches(&self) -> &[Centreline] {
+        &self.branches
+    }
+
+    /// What was repaired or looks odd, in plain words; empty for a sound vessel.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    /// How far from `origin_mm` the first wall in the unit `direction` is, mm; `None` beyond `range_mm`.
+    pub fn cast_mm(&self, origin_mm: DVec3, direction: DVec3, range_mm: f64) -> Option<f64> {
+        let cast = |direction| self.wall.cast_local_ray(&Ray::new(origin_mm, direction), range_mm, false);
+        // A ray that meets an edge exactly can slip between its two triangles in rounding. A ray a hair beside it
+        // does not, and meets the wall at the same distance to far below a nanometre.
+        cast(direction).or_else(|| {
+            let (x, y) = direction.any_orthonormal_pair();
+            cast(direction + (x * 0.6 + y * 0.8) * 1e-12)
+        })
+    }
+
+    /// Distance from a point to the wall, mm, never negative.
+    pub fn distance_mm(&self, point_mm: DVec3) -> f64 {
+        self.wall.distance_to_local_point(point_mm, false).abs()
+    }
+
+    /// Whether the straight way between two points meets the wall.
+    pub(super) fn wall_between(&self, from_mm: DVec3, to_mm: DVec3) -> bool {
+        let way = to_mm - from_mm;
+        way.try_normalize().is_some_and(|direction| self.cast_mm(from_mm, direction, way.length()).is_some())
+    }
+
+    /// Of the rays across the centreline at `s_mm`: how many meet the wall from its inside, and how many from
+    /// its outside.
+    fn rays_across(&self, branch: &Centreline, s_mm: f64) -> (usize, usize) {
+        let frame = branch.frame(s_mm);
+        let (mut inside, mut outside) = (0, 0);
+        for i in 0..RAYS_ACROSS {
+            // A turn of half a step keeps the rays off the edges of a regular grid of triangles.
+            let angle = (i as f64 + 0.5) / RAYS_ACROSS as f64 * std::f64::consts::TAU;
+            let direction = frame.rotation.x_axis * angle.cos() + frame.rotation.y_axis * angle.sin();
+            let ray = Ray::new(frame.translation_mm, direction);
+            if let Some(hit) = self.wall.cast_local_ray_and_get_normal(&ray, f64::MAX, false)
+                && let Some([a, b, c]) = self.corners(hit.subshape as usize)
+            {
+                if (b - a).cross(c - a).dot(direction) > 0.0 {
+                    inside += 1;
+                } else {
+                    outside += 1;
+                }
+            }
+        }
+        (inside, outside)
+    }
+
+    fn corners(&self, triangle: usize) -> Option<[DVec3; 3]> {
+        let corners = self.surface.triangles.get(triangle)?;
+        Some(corners.map(|node| self.surface.nodes_mm[node as usize]))
+    }
+
+    /// Turns all triangles where the rays from the centrelines meet more of them from outside than from inside.
+    fn turn_outward(&mut self) {
+        let (inside, outside) = self
+            .branches
+            .iter()
+            .flat_map(|branch| stations(branch).map(move |s| (branch, s)))
+            .map(|(branch, s)| self.rays_across(branch, s))
+            .fold((0, 0), |sum, n| (sum.0 + n.0, sum.1 + n.1));
+        if outside > inside {
+            self.surface.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+            self.wall.reverse();
+            self.notes.push("normals pointed into the lumen: turned outward".into());
+        }
+    }
+
+    fn check_centrelines(&self) -> Result<()> {
+        for (b, branch) in self.branches.iter().enumerate() {
+            for s in stations(branch) {
+                let (inside, _) = self.rays_across(branch, s);
+                if 2 * inside <= RAYS_ACROSS {
+                    return Err(wrong(
+                        &format!("centreline branch {b} at {s:.1} mm ({:.1})", branch.at(s).0),
+                        format!(
+                            "outside the vessel: {inside} of {RAYS_ACROSS} rays across meet the wall from inside"
+                        ),
+                        "inside the vessel",
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Enough for a majority to be clear beside the mouth of a side branch.
+const RAYS_ACROSS: usize = 24;
+
+/// Where a centreline is checked: about every mm, a little inside of both ends.
+fn stations(branch: &Centreline) -> impl Iterator<Item = f64> {
+    let length = branch.length_mm();
+    let n = length.ceil().clamp(1.0, 1e5) as usize;
+    (0..n).map(move |i| (i as f64 + 0.5) / n as f64 * length)
+}
+
+fn check_nodes(surface: &Surface) -> Result<()> {
+    if surface.triangles.is_empty() {
+        return Err(wrong("triangles", "none", "a triangle surface"));
+    }
+    if let Some((i, p)) = surface.nodes_mm.iter().enumerate().find(|(_, p)| !p.is_finite()) {
+        return Err(wrong(&format!("node {i}"), p, "three finite numbers in mm"));
+    }
+    surface.check()?;
+    let size = surface.bounding_box_mm().map_or(0.0, |[low, high]| (high - low).max_element());
+    if size < 1.0 {
+        return Err(wrong(
+            "size",
+            format!("{size:.4} mm across"),
+            "a vessel in mm; this one looks like metres: multiply its coordinates by 1000",
+        ));
+    }
+    Ok(())
+}
+
+/// Keeps the largest piece and makes its triangles agree on which side is out.
+fn orient(surface: &mut Surface, notes: &mut Vec<String>) {
+    let edges = edges(&surface.triangles);
+    let mut neighbours: Vec<Vec<(usize, bool)>> = vec![Vec::new(); surface.triangles.len()];
+    let mut crowded = 0;
+    for shared in edges.chunk_by(|a, b| a.ends == b.ends) {
+        crowded += usize::from(shared.len() > 2);
+        for pair in shared.windows(2) {
+            let (a, b) = (&pair[0], &pair[1]);
+            // Two triangles that agree run along their shared edge in opposite directions. Where more meet,
+            // nothing tells which ones belong together.
+            let agree = shared.len() > 2 || a.forward != b.forward;
+            neighbours[a.triangle].push((b.triangle, agree));
+            neighbours[b.triangle].push((a.triangle, agree));
+        }
+    }
+    if crowded > 0 {
+        notes.push(format!("{crowded} edges are shared by more than two triangles: left as they are"));
+    }
+    let mut piece: Vec<Option<(usize, bool)>> = vec![None; surface.triangles.len()];
+    let (mut sizes, mut turns): (Vec<usize>, Vec<usize>) = (Vec::new(), Vec::new());
+    for seed in 0..surface.triangles.len() {
+        if piece[seed].is_some() {
+            continue;
+        }
+        let this = sizes.len();
+        sizes.push(0);
+        turns.push(0);
+        piece[seed] = Some((this, false));
+        let mut open = vec![seed];
+        while let Some(t) = open.pop() {
+            let turned = piece[t].is_some_and(|(_, turned)| turned);
+            sizes[this] += 1;
+            turns[this] += usize::from(turned);
+            for &(other, agree) in &neighbours[t] {
+                if piece[other].is_none() {
+                    piece[other] = Some((this, turned == agree));
+                    open.push(other);
+                }
+            }
+        }
+    }
+    let largest = (0..sizes.len()).max_by_key(|&i| (sizes[i], usize::MAX - i)).unwrap_or(0);
+    if sizes.len() > 1 {
+        let dropped = surface.triangles.len() - sizes[largest];
+        notes.push(format!(
+            "{} separate pieces: kept the largest, dropped {dropped} of {} triangles",
+            sizes.len(),
+            surface.triangles.len()
+        ));
+    }
+    // Whether the majority points out or in is for the centreline to say; here the minority follows.
+    let minority_is_turned = 2 * turns[largest] <= sizes[largest];
+    let odd = turns[largest].min(sizes[largest] - turns[largest]);
+    if odd > 0 {
+        notes.push(format!("{odd} triangles ran the other way round than their neighbours: turned"));
+    }
+    let mut kept = Vec::with_capacity(sizes[largest]);
+    for (&triangle, which) in surface.triangles.iter().zip(&piece) {
+        if let &Some((this, turned)) = which
+            && this == largest
+        {
+            let [a, b, c] = triangle;
+            kept.push(if turned == minority_is_turned { [a, c, b] } else { triangle });
+        }
+    }
+    surface.triangles = kept;
+    if sizes.len() > 1 {
+        drop_unused_nodes(surface);
+    }
+}
+
+fn drop_unused_nodes(surface: &mut Surface) {
+    let mut used = vec![false; surface.nodes_mm.len()];
+    surface.triangles.iter().flatten().for_each(|&n| used[n as usize] = true);
+    let mut next = 0;
+    let renumbered: Vec<u32> = used
+        .iter()
+        .map(|&used| {
+            let number = next;
+            next += u32::from(used);
+            number
+        })
+        .collect();
+    surface.triangles.iter_mut().flatten().for_each(|n| *n = renumbered[*n as usize]);
+    let mut kept = used.iter();
+    surface.nodes_mm.retain(|_| kept.next().is_some_and(|&used| used));
+    for array in &mut surface.arrays {
+        let mut kept = used.iter();
+        array.values.retain(|_| kept.next().is_some_and(|&used| used));
+    }
+}
+
+struct Edge {
+    ends: (u32, u32),
+    triangle: usize,
+    forward: bool,
+}
+
+fn edges(triangles: &[[u32; 3]]) -> Vec<Edge> {
+    let mut edges: Vec<Edge> = triangles
+        .iter()
+        .enumerate()
+        .flat_map(|(triangle, &[a, b, c])| {
+            [(a, b), (b, c), (c, a)].map(|(from, to)| Edge {
+                ends: (from.min(to), from.max(to)),
+                triangle,
+                forward: from < to,
+            })
+        })
+        .collect();
+    edges.sort_by_key(|e| (e.ends, e.triangle));
+    edges
+}
+
+fn wrong(what: &str, found: impl ToString, expected: impl ToString) -> Error {
+    Error::Surface { what: what.into(), found: found.to_string(), expected: expected.to_string() }
+}
