@@ -1,0 +1,59 @@
+#!/usr/bin/env bash
+# Installs what the tests need and runs all of them.
+#
+# On Debian and Ubuntu, as root or with sudo, missing pieces come from apt: the software Vulkan driver where no
+# adapter is found, Octave, and a Python environment with VTK under target/. Tests whose tool or data is still
+# missing say SKIPPED; with LUMENMESH_REQUIRE_GPU=1, LUMENMESH_REQUIRE_DATA=1 or LUMENMESH_REQUIRE_TOOLS=1 they
+# fail instead. LUMENMESH_SHARED names the folder of recordings and truth surfaces (default: ../shared).
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+say() { printf '\n== %s\n' "$*"; }
+
+apt_install() {
+  command -v apt-get >/dev/null || { echo "no apt-get here; missing: $*"; return 1; }
+  local sudo=""
+  [ "$(id -u)" = 0 ] || sudo="sudo -n"
+  $sudo apt-get update -qq && DEBIAN_FRONTEND=noninteractive $sudo apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+}
+
+say "building"
+cargo build --bin lumenmesh
+
+say "adapters"
+if ! target/debug/lumenmesh devices --json | grep -q '"name"'; then
+  echo "no adapter: installing the software Vulkan driver"
+  apt_install mesa-vulkan-drivers libvulkan1 || true
+fi
+target/debug/lumenmesh devices || true
+
+say "other tools"
+command -v octave-cli >/dev/null || apt_install octave || echo "octave-cli is missing: its tests will be skipped"
+if [ -z "${LUMENMESH_PYTHON:-}" ]; then
+  venv=target/python
+  if ! "$venv/bin/python" -c 'import numpy, scipy, vtk' 2>/dev/null; then
+    apt_install libgl1 libxrender1 || true
+    { python3 -m venv "$venv" && "$venv/bin/pip" install -q --disable-pip-version-check numpy scipy vtk; } ||
+      echo "no Python with VTK: its tests will be skipped"
+  fi
+  if "$venv/bin/python" -c 'import numpy, scipy, vtk' 2>/dev/null; then export LUMENMESH_PYTHON="$PWD/$venv/bin/python"; fi
+fi
+
+log=$(mktemp)
+trap 'rm -f "$log"' EXIT
+status=0
+run() {
+  say "$*"
+  "$@" 2>&1 | tee -a "$log" || status=1
+}
+
+run cargo test --all-features
+run cargo test --all-features --benches -- --test
+run cargo check --quiet --no-default-features
+run cargo check --quiet --no-default-features --features cli
+
+say "summary"
+grep -h '^SKIPPED' "$log" | sort -u || true
+awk '/^test result:/ { passed += $4; failed += $6 }
+     END { printf "%d passed, %d failed\n", passed, failed; exit passed == 0 }' "$log" || status=1
+exit "$status"
