@@ -1,5 +1,6 @@
 //! The command line: a thin layer over the library, one file per sub-command.
 
+mod bench;
 mod demo;
 mod evaluate;
 mod import;
@@ -28,6 +29,7 @@ enum Command {
     Info(info::Arguments),
     Import(import::Arguments),
     Demo(demo::Arguments),
+    Bench(bench::Arguments),
     Simulate(simulate::Arguments),
     Render(render::Arguments),
 }
@@ -40,6 +42,7 @@ pub fn main() -> ExitCode {
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Demo(arguments) => arguments.run(),
+        Command::Bench(arguments) => arguments.run(),
         Command::Simulate(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
     };
