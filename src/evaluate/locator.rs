@@ -1,10 +1,12 @@
 //! The closest point of a surface.
 
-use super::tree::{Slot, Stack, Tree};
 use crate::surface::Surface;
 use crate::{Error, Result};
-use glam::DVec3;
+use glam::{DVec3, Vec3A};
+use parry3d::bounding_volume::Aabb;
+use parry3d::partitioning::{Bvh, BvhBuildStrategy, BvhNode};
 use rayon::prelude::*;
+use std::cell::Cell;
 
 /// Queries that one thread works through in order, each starting from its predecessor's triangle. A fixed number, so
 /// that no result depends on the number of threads.
@@ -35,14 +37,16 @@ enum Feature {
     Corner(usize),
 }
 
-/// Finds the closest point of a surface, through a tree of bounding boxes over its triangles.
+/// Finds the closest point of a surface, through parry's tree of bounding boxes over its triangles.
 ///
-/// Triangles without area are left out: what they cover belongs to their neighbours' edges.
+/// The boxes are in single precision and a little too large; which triangle is nearest is decided in double precision.
+/// Triangles without area are left out: what they cover belongs to their neighbours' edges, and they have no normal.
 pub struct Locator {
-    tree: Tree,
-    /// The nodes of each triangle in the tree.
+    boxes: Boxes,
+    corners_mm: Vec<[DVec3; 3]>,
+    /// The nodes of each triangle.
     nodes: Vec<[u32; 3]>,
-    /// Which triangle of the surface each one is.
+    /// Which triangle of the surface each one is, ascending.
     original: Vec<u32>,
     face_normals: Vec<DVec3>,
     edge_normals: Vec<[DVec3; 3]>,
@@ -71,7 +75,8 @@ impl Locator {
         let nodes: Vec<[u32; 3]> = original.iter().map(|&t| surface.triangles[t as usize]).collect();
         let corners_mm: Vec<[DVec3; 3]> = original.iter().map(|&t| surface.corners_mm(t as usize)).collect();
         let mut locator = Self {
-            tree: Tree::new(&corners_mm),
+            boxes: Boxes::about(&corners_mm),
+            corners_mm,
             face_normals: original.iter().map(|&t| normals[t as usize]).collect(),
             edge_normals: vec![[DVec3::ZERO; 3]; nodes.len()],
             node_normals: surface.node_normals(),
@@ -113,7 +118,7 @@ impl Locator {
 
     /// The closest point to one query.
     pub fn closest(&self, query_mm: DVec3) -> Closest {
-        self.describe(query_mm, self.nearest(query_mm, Slot::default(), &mut Vec::new()))
+        self.describe(query_mm, self.nearest(query_mm, 0))
     }
 
     /// The closest points to many queries, in the queries' order, on all threads of the current pool.
@@ -122,11 +127,14 @@ impl Locator {
     /// search.
     pub fn closest_all(&self, queries_mm: &[DVec3]) -> Vec<Closest> {
         let order = along_a_curve(queries_mm);
-        let arch = pulp::Arch::new();
-        // The widest instructions that this processor has, and no contraction: the same bits everywhere.
         let mut found = vec![Closest::NOWHERE; queries_mm.len()];
         found.par_chunks_mut(RUN).zip(order.par_chunks(RUN)).for_each(|(found, run)| {
-            arch.dispatch(Run { locator: self, run, queries_mm, found });
+            let mut near = 0;
+            for (&query, found) in run.iter().zip(found) {
+                let query_mm = queries_mm[query as usize];
+                near = self.nearest(query_mm, near);
+                *found = self.describe(query_mm, near);
+            }
         });
         let mut closest = vec![Closest::NOWHERE; queries_mm.len()];
         for (&query, found) in order.iter().zip(found) {
@@ -135,23 +143,37 @@ impl Locator {
         closest
     }
 
-    /// The nearest triangle, given one to start from.
-    #[inline(always)]
-    fn nearest(&self, query: DVec3, near: Slot, stack: &mut Stack) -> Slot {
-        if !query.is_finite() {
-            return near;
+    /// The nearest triangle, of equally near ones the first: the same whichever one the search starts from.
+    fn nearest(&self, query_mm: DVec3, start: u32) -> u32 {
+        if !query_mm.is_finite() {
+            return start;
         }
-        let (point, _) = closest_on_triangle(query, self.tree.corners_mm(near));
-        self.tree.nearest(query, query.distance_squared(point), stack).unwrap_or(near)
+        let squared_mm2 = |t: u32| {
+            let (point, _) = closest_on_triangle(query_mm, self.corners_mm[t as usize]);
+            query_mm.distance_squared(point)
+        };
+        let nearest = Cell::new((squared_mm2(start), start));
+        let query = self.boxes.place(query_mm).as_vec3a();
+        self.boxes.tree.find_best(
+            self.boxes.bound(nearest.get().0),
+            |node, _| squared_distance(node, query),
+            |t, _| {
+                let found = (squared_mm2(t), t);
+                if found < nearest.get() {
+                    nearest.set(found);
+                }
+                Some(self.boxes.bound(found.0))
+            },
+        );
+        nearest.get().1
     }
 
-    #[inline(always)]
-    fn describe(&self, query: DVec3, slot: Slot) -> Closest {
+    fn describe(&self, query: DVec3, triangle: u32) -> Closest {
         if !query.is_finite() {
             return Closest::NOWHERE;
         }
-        let t = self.tree.triangle(slot);
-        let (point, feature) = closest_on_triangle(query, self.tree.corners_mm(slot));
+        let t = triangle as usize;
+        let (point, feature) = closest_on_triangle(query, self.corners_mm[t]);
         let (normal, on_rim) = match feature {
             Feature::Face => (self.face_normals[t], false),
             Feature::Edge(k) => (self.edge_normals[t][k], self.rim_edges[t][k]),
@@ -171,28 +193,50 @@ impl Locator {
     }
 }
 
-/// Queries to be worked through in this order.
-struct Run<'a> {
-    locator: &'a Locator,
-    run: &'a [u32],
-    queries_mm: &'a [DVec3],
-    /// As many as there are queries in the run.
-    found: &'a mut [Closest],
+/// Boxes about triangles in single precision, in units of the surface's size and about its centre.
+struct Boxes {
+    tree: Bvh,
+    centre_mm: DVec3,
+    size_mm: f64,
 }
 
-impl pulp::WithSimd for Run<'_> {
-    type Output = ();
+impl Boxes {
+    /// By how much boxes are too large on each side. Coordinates up to four sizes from the centre are rounded by a
+    /// quarter of it, their differences by another.
+    const SLACK: f64 = 1e-6;
+    /// By what factor a bound is too large: of coordinates beyond that, rounding is relative to the distance, and takes a
+    /// quarter of it.
+    const BOUND_SLACK: f32 = 1.0 + 4e-6;
 
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
-        let mut stack = Vec::new();
-        let mut near = Slot::default();
-        for (&query, found) in self.run.iter().zip(self.found) {
-            let query_mm = self.queries_mm[query as usize];
-            near = self.locator.nearest(query_mm, near, &mut stack);
-            *found = self.locator.describe(query_mm, near);
-        }
+    /// At least one triangle, each with an area.
+    fn about(corners_mm: &[[DVec3; 3]]) -> Self {
+        let low = corners_mm.iter().flatten().copied().fold(DVec3::INFINITY, DVec3::min);
+        let high = corners_mm.iter().flatten().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+        let mut boxes = Self { tree: Bvh::new(), centre_mm: low.midpoint(high), size_mm: low.distance(high) };
+        let around = |corners: &[DVec3; 3]| {
+            let [a, b, c] = corners.map(|p| boxes.place(p));
+            let low = a.min(b).min(c) - Self::SLACK;
+            let high = a.max(b).max(c) + Self::SLACK;
+            Aabb::new(low.as_vec3(), high.as_vec3())
+        };
+        let leaves: Vec<Aabb> = corners_mm.iter().map(around).collect();
+        boxes.tree = Bvh::from_leaves(BvhBuildStrategy::Binned, &leaves);
+        boxes
     }
+
+    fn place(&self, point_mm: DVec3) -> DVec3 {
+        (point_mm - self.centre_mm) / self.size_mm
+    }
+
+    /// More than the squared distance of any box that may hold a triangle this near, or nearer.
+    fn bound(&self, squared_mm2: f64) -> f32 {
+        (squared_mm2 / (self.size_mm * self.size_mm)) as f32 * Self::BOUND_SLACK + f32::MIN_POSITIVE
+    }
+}
+
+fn squared_distance(node: &BvhNode, query: Vec3A) -> f32 {
+    let (low, high) = (Vec3A::from(node.mins()), Vec3A::from(node.maxs()));
+    (low - query).max(query - high).max(Vec3A::ZERO).length_squared()
 }
 
 impl Closest {
