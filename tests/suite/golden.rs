@@ -1,7 +1,6 @@
 //! The cylinders of an independent f64 implementation of the published method.
 
-mod support;
-
+use crate::support::shared;
 use lumenmesh::fit::{CpuEngine, Engine, FittedCylinder, Job, Track};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Settings, Statistic};
@@ -47,8 +46,8 @@ const CASES: [(&str, &str, u32, u32, Statistic); 3] = [
 fn the_reference_gives_the_golden_radii_to_1e_9_mm() {
     for (golden, recording, nodes, levels, statistic) in CASES {
         let (Some(golden), Some(recording)) = (
-            support::shared(&format!("golden/{golden}.csv")),
-            support::shared(&format!("recordings/{recording}.mat")),
+            crate::support::shared(&format!("golden/{golden}.csv")),
+            crate::support::shared(&format!("recordings/{recording}.mat")),
         ) else {
             return;
         };
@@ -65,7 +64,12 @@ fn the_reference_gives_the_golden_radii_to_1e_9_mm() {
         let fast = radii(&CpuEngine::<f32>::new().fit(&job).unwrap());
         let mut diffs: Vec<f64> = golden.iter().map(|(k, r)| (fast[k] - r).abs()).collect();
         diffs.sort_by(f64::total_cmp);
-        println!("f32 {:e} {:e} {}", diffs[diffs.len()*99/100], diffs[diffs.len() - 1], diffs.iter().filter(|d| **d>1e-3).count());
+        println!(
+            "f32 {:e} {:e} {}",
+            diffs[diffs.len() * 99 / 100],
+            diffs[diffs.len() - 1],
+            diffs.iter().filter(|d| **d > 1e-3).count()
+        );
         assert!(worst <= 1e-9, "{worst:e} mm");
     }
 }
