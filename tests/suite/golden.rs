@@ -45,10 +45,9 @@ const CASES: [(&str, &str, u32, u32, Statistic); 3] = [
 #[test]
 fn the_reference_gives_the_golden_radii_to_1e_9_mm() {
     for (golden, recording, nodes, levels, statistic) in CASES {
-        let (Some(golden), Some(recording)) = (
-            crate::support::shared(&format!("golden/{golden}.csv")),
-            crate::support::shared(&format!("recordings/{recording}.mat")),
-        ) else {
+        let (Some(golden), Some(recording)) =
+            (shared(&format!("golden/{golden}.csv")), shared(&format!("recordings/{recording}.mat")))
+        else {
             return;
         };
         let golden = read_golden(&golden);
