@@ -4,7 +4,6 @@
 //! [`DEFINITIONS`], which the command prints beside it.
 
 mod locator;
-mod tree;
 
 pub use locator::{Closest, Locator};
 

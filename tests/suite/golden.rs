@@ -1,7 +1,6 @@
 //! The cylinders of an independent f64 implementation of the published method.
 
-mod support;
-
+use crate::support::shared;
 use lumenmesh::fit::{CpuEngine, Engine, FittedCylinder, Job, Track};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Settings, Statistic};
@@ -46,10 +45,9 @@ const CASES: [(&str, &str, u32, u32, Statistic); 3] = [
 #[test]
 fn the_reference_gives_the_golden_radii_to_1e_9_mm() {
     for (golden, recording, nodes, levels, statistic) in CASES {
-        let (Some(golden), Some(recording)) = (
-            support::shared(&format!("golden/{golden}.csv")),
-            support::shared(&format!("recordings/{recording}.mat")),
-        ) else {
+        let (Some(golden), Some(recording)) =
+            (shared(&format!("golden/{golden}.csv")), shared(&format!("recordings/{recording}.mat")))
+        else {
             return;
         };
         let golden = read_golden(&golden);
