@@ -202,9 +202,10 @@ fn faces_in_doubt(track: &Track, frame: usize, settings: &Settings, grid: &Grid<
     let (mut exact, mut single) = (Section::<f64>::default(), Section::<f32>::default());
     let all = Gate { half_height: f64::INFINITY, low: 0.0, high: f64::INFINITY };
     let all_single = Gate { half_height: f32::INFINITY, low: 0.0, high: f32::INFINITY };
-    for (points, cylinder_from_probe) in track.near(frame, settings).unwrap() {
-        project(points, &TubeTransform::new(&cylinder_from_probe), &all, &mut exact);
-        project(points, &TubeTransform::new(&cylinder_from_probe), &all_single, &mut single);
+    for near in track.near(frame, settings).unwrap() {
+        let points = &track.echoes_mm()[near.echoes];
+        project(points, &TubeTransform::new(&near.cylinder_from_probe), &all, &mut exact);
+        project(points, &TubeTransform::new(&near.cylinder_from_probe), &all_single, &mut single);
     }
     let mut doubts = vec![false; (grid.nodes * grid.levels) as usize];
     for i in 0..exact.len() {

@@ -5,6 +5,7 @@ mod support;
 
 use glam::{DQuat, DVec2, DVec3};
 use lumenmesh::cylinder::{CylinderModel, LocalEstimate};
+use lumenmesh::evaluate::Truth;
 use lumenmesh::fit::passes::{Face, Gate, Scalar, Section, TubeTransform, distance, project};
 use lumenmesh::fit::{CpuEngine, Engine, FittedCylinder, Job, Track, merged_frames};
 use lumenmesh::geometry::Pose;
@@ -14,7 +15,7 @@ use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::settings::{Outliers, Settings, Statistic};
 use lumenmesh::surface::Surface;
 use parry3d_f64::query::PointQuery;
-use parry3d_f64::shape::{TriMesh, Triangle};
+use parry3d_f64::shape::Triangle;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -369,20 +370,14 @@ fn leaving_out_far_frames_loses_no_point_of_a_disorderly_recording() {
     no_point_is_lost::<f64>(&recording, &settings);
 }
 
-struct Truth(TriMesh);
+fn truth() -> Option<Truth> {
+    let surface = Surface::read(&support::shared("data/aorta_adult_full_steve.stl")?).unwrap();
+    Some(Truth::new(surface).unwrap())
+}
 
-impl Truth {
-    fn read() -> Option<Self> {
-        let surface = Surface::read(&support::shared("data/aorta_adult_full_steve.stl")?).unwrap();
-        Some(Self(TriMesh::new(surface.nodes_mm, surface.triangles).unwrap()))
-    }
-
-    fn mean_distance_mm(&self, nodes: impl Iterator<Item = DVec3>) -> f64 {
-        let (sum, count) = nodes.fold((0.0, 0), |(sum, count), node| {
-            (sum + self.0.project_local_point(node, false).point.distance(node), count + 1)
-        });
-        sum / f64::from(count)
-    }
+fn mean_distance_mm(nodes: impl Iterator<Item = DVec3>, truth: &Truth) -> f64 {
+    let distances: Vec<f64> = nodes.map(|node| truth.locator().distance_mm(node)).collect();
+    distances.iter().sum::<f64>() / distances.len() as f64
 }
 
 fn median(mut numbers: Vec<f64>) -> f64 {
@@ -397,7 +392,7 @@ fn median(mut numbers: Vec<f64>) -> f64 {
 /// merged cylinders (frames 9, 19, …), iteration by iteration. "Undeformed" stitches the primitives.
 #[test]
 fn the_published_fitting_errors_come_out() {
-    let Some(truth) = Truth::read() else { return };
+    let Some(truth) = truth() else { return };
     for (name, single, rings, stitched, undeformed) in [
         ("adult_aorta_clean", [0.929, 0.728, 0.694, 0.683], 91, 0.331, 0.828),
         ("adult_aorta_noisy", [1.129, 0.919, 0.929, 0.982], 84, 0.636, 0.930),
@@ -408,7 +403,7 @@ fn the_published_fitting_errors_come_out() {
         let cylinders = fit::<f64>(&track, &merged_frames(track.len(), &settings), &settings);
         let error_after = |iteration: usize| {
             let error =
-                |c: &FittedCylinder| truth.mean_distance_mm(c.nodes_mm(&c.tube.history_mm[iteration]));
+                |c: &FittedCylinder| mean_distance_mm(c.nodes_mm(&c.tube.history_mm[iteration]), &truth);
             median(cylinders.iter().map(error).collect())
         };
         let found = [0, 1, 2, 3].map(error_after);
@@ -418,7 +413,7 @@ fn the_published_fitting_errors_come_out() {
             vessel
         };
         let error = |vessel: &Stitched| {
-            truth.mean_distance_mm(vessel.rings.iter().flat_map(|r| r.nodes_mm.iter().copied()))
+            mean_distance_mm(vessel.rings.iter().flat_map(|r| r.nodes_mm.iter().copied()), &truth)
         };
         let (vessel, primitives) = (vessel_after(3), vessel_after(0));
         println!(

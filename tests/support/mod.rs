@@ -1,4 +1,5 @@
-//! What the surface and evaluation tests share: shapes, recorded data and outside tools.
+//! What several test files share: shapes, the data that lies outside the repository, and tools that may be absent.
+#![expect(dead_code, reason = "each test file uses a part of it")]
 
 use glam::DVec3;
 use lumenmesh::surface::Surface;
@@ -72,4 +73,26 @@ pub fn python_with_vtk() -> Option<Python> {
     assert!(!required("LUMENMESH_REQUIRE_TOOLS"), "no Python with VTK");
     eprintln!("SKIPPED: no Python with VTK (LUMENMESH_PYTHON names one)");
     None
+}
+
+/// What Octave prints for some code run in a folder; `None`, said loudly, where there is no Octave.
+///
+/// `nansum_(x)` adds up what is not NaN.
+pub fn octave(folder: &Path, code: &str) -> Option<String> {
+    let code = format!("nansum_ = @(x) sum(x(! isnan(x))); {code}");
+    let run = Command::new("octave-cli")
+        .args(["--no-init-file", "--quiet", "--eval", &code])
+        .current_dir(folder)
+        .output();
+    match run {
+        Ok(output) => {
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            Some(String::from_utf8_lossy(&output.stdout).into_owned())
+        }
+        Err(e) => {
+            assert!(!required("LUMENMESH_REQUIRE_TOOLS"), "octave-cli does not run: {e}");
+            eprintln!("SKIPPED: octave-cli does not run: {e}");
+            None
+        }
+    }
 }
