@@ -3,6 +3,7 @@
 
 mod support;
 
+use glam::DVec2;
 use lumenmesh::fit::passes::{
     Face, Filter, Gate, Grid, Groups, Scalar, Section, TubeTransform, distance, fill, filter, group, project,
     update,
@@ -46,6 +47,7 @@ fn radii(cylinders: &[FittedCylinder]) -> Radii {
 /// What one golden file was made from.
 struct Case {
     golden: Radii,
+    recording: Recording,
     track: Track,
     frames: Vec<usize>,
     settings: Settings,
@@ -69,10 +71,11 @@ fn cases() -> impl Iterator<Item = Case> {
         let golden = read_golden(&support::shared(&format!("golden/{golden}.csv"))?);
         let recording = support::shared(&format!("recordings/{recording}.mat"))?;
         let settings = Settings { nodes, levels, statistic, ..Settings::default() };
-        let track = Track::of(&Recording::read(&recording).unwrap(), &settings).unwrap();
+        let recording = Recording::read(&recording).unwrap();
+        let track = Track::of(&recording, &settings).unwrap();
         let mut frames: Vec<usize> = golden.keys().map(|k| k.0).collect();
         frames.dedup();
-        Some(Case { golden, track, frames, settings })
+        Some(Case { golden, recording, track, frames, settings })
     })
 }
 
@@ -84,6 +87,12 @@ fn the_reference_gives_the_golden_radii_to_1e_9_mm() {
         let worst = case.golden.iter().map(|(k, r)| (found[k] - r).abs()).fold(0.0, f64::max);
         // The files hold ten decimals.
         assert!(worst <= 1e-9, "{worst:e} mm");
+        // Negative control: a single point that is missing shows.
+        let mut fewer = case.recording.clone();
+        fewer.frames[case.frames[0]].contour_mm[0] = DVec2::NAN;
+        let case = Case { track: Track::of(&fewer, &case.settings).unwrap(), ..case };
+        let found = case.fit::<f64>();
+        assert!(case.golden.iter().any(|(k, r)| (found[k] - r).abs() > 1e-9));
     }
 }
 
@@ -167,9 +176,9 @@ impl Doubts {
             let off = radius_bound(iteration);
             let (mut statistics, mut doubts) = (Vec::new(), Vec::new());
             for top in [false, true] {
-                for face in 0..tube.face_count() {
+                for (face, on_edge) in faces_on_edges.iter().enumerate() {
                     let corners = corners(&tube, face);
-                    let inherited = faces_on_edges[face] || corners.iter().any(|&c| nodes[c]);
+                    let inherited = *on_edge || corners.iter().any(|&c| nodes[c]);
                     let (distances, turns) = distances_of(&groups, &grid, &radii, face, corners, off, top);
                     statistics.push(filter(&distances, &filter_of, &mut Vec::new()));
                     doubts.push(inherited || turns || on_a_fence(&distances, off));
