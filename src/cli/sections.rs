@@ -111,7 +111,10 @@ impl Arguments {
         }
         if let Some(median) = median {
             let count = lines.iter().filter(|l| l.against_mm2.is_some()).count();
-            text += &format!("median absolute difference of area: {median:.2} % over {count} frames\n");
+            text += &format!(
+                "median absolute difference of area: {median:.2} % over {count} of {} frames\n",
+                lines.len()
+            );
         }
         // A reader that has seen enough, such as `head`, closes the pipe.
         let _closed = std::io::stdout().write_all(text.as_bytes());
@@ -136,9 +139,18 @@ impl Arguments {
             }
             None => (0..sections.len() as u64).collect(),
         };
-        if !numbers.iter().any(|number| values.contains_key(number)) {
+        let known = numbers.iter().filter(|number| values.contains_key(number)).count();
+        if known == 0 {
             let expected = "the number of at least one frame of the recording (see --numbers)";
             return Err(Error::input(table, "frame", "none of the recording's", expected));
+        }
+        if 2 * known < numbers.len() {
+            eprintln!(
+                "lumenmesh: warning: {}: values for {known} of the recording's {} frames: does it number them \
+                 otherwise (see --numbers)?",
+                table.display(),
+                numbers.len()
+            );
         }
         let line = |(section, number): (LumenSection, u64)| {
             let against_mm2 = values.get(&number).copied();
