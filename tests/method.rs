@@ -262,7 +262,7 @@ fn the_number_of_threads_changes_no_byte() {
         };
         let one = bytes(1);
         for threads in [2, 8] {
-            assert!(bytes(threads) == one, "{} threads, {}", threads, engine.name());
+            assert!(bytes(threads) == one, "{threads} threads, {}", engine.describe().name);
         }
     }
 }

@@ -187,7 +187,7 @@ fn the_report_is_there_for_people_and_for_machines() {
     // The first cylinder sees 10 frames, the others the 11 behind them within 5 mm.
     assert_eq!(count("/points/used") + count("/points/rejected"), 60 * (10 + 5 * 11));
     assert_eq!(count("/points/gated"), 0);
-    assert!(count("/threads") >= 1 && json["engine"].is_string());
+    assert!(count("/threads") >= 1 && json["engine"]["name"].is_string());
     assert_eq!(json["mean_travel_mm"].as_array().unwrap().len(), 3);
     assert!(["track", "fit", "merge"].iter().all(|stage| json["seconds"][stage].as_f64().unwrap() >= 0.0));
     let settings: Settings = serde_json::from_value(json["settings"].clone()).unwrap();

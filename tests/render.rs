@@ -1,7 +1,6 @@
 //! Pictures against the meshes that they show.
 #![cfg(feature = "render")]
 
-#[expect(dead_code, reason = "other test files use the rest")]
 mod support;
 
 use lumenmesh::report::render::{Picture, Style, View, render};

@@ -1,6 +1,5 @@
 //! Simulated recordings against the settings and vessels that they were made from.
 
-#[expect(dead_code, reason = "other test files use the rest")]
 mod support;
 
 use glam::{DQuat, DVec3};

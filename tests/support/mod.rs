@@ -1,5 +1,9 @@
 //! What several test files share: shapes, the data that lies outside the repository, and tools that may be absent.
-#![expect(dead_code, reason = "each test file uses a part of it")]
+#![expect(
+    dead_code,
+    clippy::unwrap_used,
+    reason = "each test file uses a part of it, and stops where it cannot go on"
+)]
 
 use glam::DVec3;
 use lumenmesh::surface::Surface;
