@@ -195,7 +195,7 @@ impl Settings {
             return fail("every", self.every.to_string(), "at least 1");
         }
         let norm = DQuat::from_array(self.calibration.quaternion).length();
-        if !((norm - 1.0).abs() < 1e-3) {
+        if !norm.is_finite() || (norm - 1.0).abs() >= 1e-3 {
             return fail(
                 "calibration.quaternion",
                 format!("norm {norm}"),

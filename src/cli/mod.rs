@@ -8,6 +8,7 @@ mod info;
 mod progress;
 mod reconstruct;
 mod render;
+mod sections;
 mod settings;
 mod simulate;
 
@@ -26,6 +27,7 @@ struct Arguments {
 enum Command {
     Reconstruct(reconstruct::Arguments),
     Evaluate(evaluate::Arguments),
+    Sections(sections::Arguments),
     Info(info::Arguments),
     Import(import::Arguments),
     Demo(demo::Arguments),
@@ -39,6 +41,7 @@ pub fn main() -> ExitCode {
     let done: Result<()> = match Arguments::parse().command {
         Command::Reconstruct(arguments) => arguments.run(),
         Command::Evaluate(arguments) => arguments.run(),
+        Command::Sections(arguments) => arguments.run(),
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Demo(arguments) => arguments.run(),
