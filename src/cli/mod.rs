@@ -1,6 +1,8 @@
 //! The command line: a thin layer over the library, one file per sub-command.
 
 mod demo;
+#[cfg(feature = "gpu")]
+mod devices;
 mod evaluate;
 mod import;
 mod info;
@@ -26,6 +28,8 @@ enum Command {
     Info(info::Arguments),
     Import(import::Arguments),
     Demo(demo::Arguments),
+    #[cfg(feature = "gpu")]
+    Devices(devices::Arguments),
 }
 
 /// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong.
@@ -36,6 +40,8 @@ pub fn main() -> ExitCode {
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Demo(arguments) => arguments.run(),
+        #[cfg(feature = "gpu")]
+        Command::Devices(arguments) => arguments.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -8,18 +8,20 @@ mod context;
 mod error;
 mod job;
 mod pass;
+mod stages;
 mod workspace;
 
 pub use context::{AdapterDescription, Requirements, adapters};
 pub use error::GpuError;
 pub use job::{DeviceCylinder, DeviceJob, DevicePair};
 pub use pass::{Access, LANES, PASSES, Pass};
+pub use stages::CpuStages;
 pub use workspace::Workspace;
 
 use super::cpu::residual_mm;
 use super::passes::Section;
 use super::track::empty_section;
-use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job};
+use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job, check_section};
 use crate::settings::Settings;
 use crate::tube::Tube;
 use crate::{Error, Result};
@@ -38,6 +40,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 pub struct GpuEngine {
     context: Context,
     pipelines: Vec<Pipeline>,
+    cpu_stages: CpuStages,
 }
 
 impl GpuEngine {
@@ -62,7 +65,16 @@ impl GpuEngine {
             .iter()
             .map(|pass| Pipeline::new(&context.device, pass))
             .collect::<Result<Vec<_>, GpuError>>()?;
-        Ok(Self { context, pipelines })
+        Ok(Self { context, pipelines, cpu_stages: CpuStages::None })
+    }
+
+    /// The same engine, but [`fit`](Engine::fit) and [`fit_section`](Engine::fit_section) compute the first
+    /// stages on the CPU. Where a device gives another result than the CPU, the first stage that has to move to
+    /// the CPU for the results to agree is the one that diverges.
+    #[must_use]
+    pub fn with_cpu_stages(mut self, stages: CpuStages) -> Self {
+        self.cpu_stages = stages;
+        self
     }
 
     /// The adapter, where the engine chose it.
@@ -100,6 +112,7 @@ impl GpuEngine {
     /// Where settings are invalid, and [`Error::Gpu`] where the job does not fit the device.
     pub fn prepare(&self, points: u32, radius_mm: f64, settings: &Settings) -> Result<Workspace> {
         settings.validate()?;
+        check_section(&Section::default(), radius_mm)?;
         let points = Points::Section { count: points };
         Ok(Workspace::new(&self.context, &self.pipelines, settings, &[radius_mm], &points, false)?)
     }
@@ -109,7 +122,7 @@ impl GpuEngine {
     /// # Errors
     /// [`Error::Gpu`] where the device refuses a pipeline.
     pub fn record(&self, workspace: &Workspace, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
-        Ok(workspace.record(&self.context, &self.pipelines, encoder, false, &mut |_| None)?)
+        Ok(workspace.record(&self.context, &self.pipelines, encoder, CpuStages::None, false, &mut |_| None)?)
     }
 
     /// As [`GpuEngine::record`], each pass in a compute pass of its own with the timestamps that `timer` gives
@@ -124,7 +137,7 @@ impl GpuEngine {
         timer: &mut (dyn FnMut(&'static str) -> Option<wgpu::ComputePassTimestampWrites<'a>> + 'a),
     ) -> Result<()> {
         let timer: &mut Timer<'a> = timer;
-        Ok(workspace.record(&self.context, &self.pipelines, encoder, false, timer)?)
+        Ok(workspace.record(&self.context, &self.pipelines, encoder, CpuStages::None, false, timer)?)
     }
 
     /// Device memory for the cylinders of a job, a workspace a batch, with the points on the device.
@@ -218,18 +231,27 @@ impl GpuEngine {
             .collect()
     }
 
-    /// Runs a workspace and takes its tubes apart.
+    /// Runs a workspace and takes its tubes apart; with the sections of its cylinders, after the CPU's stages.
     fn tubes(
         &self,
         workspace: &Workspace,
         settings: &Settings,
         radii_mm: &[f64],
         history: bool,
+        sections: Option<&[Section<f32>]>,
     ) -> Result<Vec<DeformedTube>, GpuError> {
+        let done = match sections {
+            None => CpuStages::None,
+            Some(_) => self.cpu_stages.up_to(settings.iterations),
+        };
+        let begun = match sections {
+            None => Vec::new(),
+            Some(sections) => stages::begin(&self.context, workspace, done, settings, radii_mm, history, sections)?,
+        };
         let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "history"];
         let names = if history { &names[..] } else { &names[..6] };
         let read = self.run(workspace, names, |encoder| {
-            workspace.record(&self.context, &self.pipelines, encoder, history, &mut |_| None)
+            workspace.record(&self.context, &self.pipelines, encoder, done, history, &mut |_| None)
         })?;
         let words = |k: usize| bytemuck::pod_collect_to_vec::<u8, u32>(&read[k]);
         let numbers = |k: usize| bytemuck::pod_collect_to_vec::<u8, f32>(&read[k]);
@@ -240,7 +262,7 @@ impl GpuEngine {
         let (count, iterations) = (tube.node_count(), settings.iterations as usize);
         let stride = workspace.travel_stride() as usize / 4;
         let to_f64 = |r: &[f32]| r.iter().map(|&r| f64::from(r)).collect::<Vec<f64>>();
-        Ok(radii_mm
+        let mut tubes: Vec<DeformedTube> = radii_mm
             .iter()
             .enumerate()
             .map(|(c, &radius_mm)| {
@@ -270,7 +292,11 @@ impl GpuEngine {
                     rejected: if iterations == 0 { 0 } else { points - kept },
                 }
             })
-            .collect())
+            .collect();
+        for (tube, begun) in tubes.iter_mut().zip(begun) {
+            begun.enter_into(tube);
+        }
+        Ok(tubes)
     }
 }
 
@@ -350,9 +376,19 @@ impl GpuEngine {
         Ok(Workspace::new(context, pipelines, job.settings, &batch.radii_mm, &points, job.history)?)
     }
 
+    /// The sections of a batch's cylinders, from the CPU.
+    fn sections(&self, job: &Job, batch: &Batch) -> Result<Vec<Section<f32>>> {
+        job.frames[batch.members.clone()].par_iter().map(|&k| job.track.section(k, job.settings)).collect()
+    }
+
     fn fit_batch(&self, job: &Job, batch: &Batch) -> Result<Vec<FittedCylinder>> {
         let workspace = self.workspace_of(job, batch)?;
-        let tubes = self.tubes(&workspace, job.settings, &batch.radii_mm, job.history)?;
+        let sections = match self.cpu_stages {
+            CpuStages::None => None,
+            _ => Some(self.sections(job, batch)?),
+        };
+        let (settings, radii_mm) = (job.settings, &batch.radii_mm);
+        let tubes = self.tubes(&workspace, settings, radii_mm, job.history, sections.as_deref())?;
         let fitted = tubes.into_iter().zip(&job.frames[batch.members.clone()]).map(|(tube, &frame)| {
             if tube.points == 0 {
                 return Err(empty_section(frame, tube.radius_mm, tube.gated, job.settings));
@@ -385,6 +421,7 @@ impl Engine for GpuEngine {
         radius_mm: f64,
         settings: &Settings,
     ) -> Result<DeformedTube> {
+        check_section(section, radius_mm)?;
         let count = u32::try_from(section.len()).map_err(|_| GpuError::TooLarge {
             name: "section".into(),
             needed: 12 * section.len() as u64,
@@ -394,7 +431,8 @@ impl Engine for GpuEngine {
         let rows: Vec<[f32; 3]> =
             (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
         workspace.write(&self.context, "section", bytemuck::cast_slice(&rows));
-        let mut tubes = self.tubes(&workspace, settings, &[radius_mm], false)?;
+        let sections = (self.cpu_stages != CpuStages::None).then(|| std::slice::from_ref(section));
+        let mut tubes = self.tubes(&workspace, settings, &[radius_mm], false, sections)?;
         let Some(mut tube) = tubes.pop() else {
             return Err(GpuError::Lost { reason: "no result".into() }.into());
         };
