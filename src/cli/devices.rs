@@ -80,7 +80,10 @@ fn print_adapter(adapter: &AdapterDescription) {
     println!("  kind       {}", adapter.kind);
     println!("  backend    {}, driver {}", adapter.backend, adapter.driver);
     let [buffer, binding] = [adapter.max_buffer_bytes, adapter.max_storage_binding_bytes].map(mebibytes);
-    println!("  memory     {buffer} MiB a buffer, {binding} MiB a binding ({} million points)", points(adapter));
+    println!(
+        "  memory     {buffer} MiB a buffer, {binding} MiB a binding ({} million points)",
+        points(adapter)
+    );
     println!(
         "  workgroup  {} invocations, {} KiB",
         adapter.max_workgroup_invocations,

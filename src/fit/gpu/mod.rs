@@ -122,7 +122,8 @@ impl GpuEngine {
     /// # Errors
     /// [`Error::Gpu`] where the device refuses a pipeline.
     pub fn record(&self, workspace: &Workspace, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
-        Ok(workspace.record(&self.context, &self.pipelines, encoder, CpuStages::None, false, &mut |_| None)?)
+        Ok(workspace
+            .record(&self.context, &self.pipelines, encoder, CpuStages::None, false, &mut |_| None)?)
     }
 
     /// As [`GpuEngine::record`], each pass in a compute pass of its own with the timestamps that `timer` gives
@@ -153,6 +154,8 @@ impl GpuEngine {
     /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back: how a pass is
     /// compared with its twin on identical inputs.
     ///
+    /// Outputs that are not among the inputs are filled with ones before, so that what a pass leaves out shows.
+    ///
     /// # Errors
     /// [`Error::Gpu`] where there is no such pass or buffer, or the device fails.
     pub fn run_pass(
@@ -168,6 +171,10 @@ impl GpuEngine {
         let pipeline = pipeline.ok_or_else(|| unknown(pass))?;
         for name in inputs.iter().map(|(name, _)| name).chain(outputs) {
             workspace.has(name).then_some(()).ok_or_else(|| unknown(name))?;
+        }
+        for name in outputs {
+            let ones = vec![0xff; workspace.buffer(name).size() as usize];
+            checked(&self.context.device, name, || workspace.write(&self.context, name, &ones))?;
         }
         for (name, bytes) in inputs {
             checked(&self.context.device, name, || workspace.write(&self.context, name, bytes))?;
@@ -246,7 +253,9 @@ impl GpuEngine {
         };
         let begun = match sections {
             None => Vec::new(),
-            Some(sections) => stages::begin(&self.context, workspace, done, settings, radii_mm, history, sections)?,
+            Some(sections) => {
+                stages::begin(&self.context, workspace, done, settings, radii_mm, history, sections)?
+            }
         };
         let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "history"];
         let names = if history { &names[..] } else { &names[..6] };

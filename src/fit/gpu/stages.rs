@@ -103,9 +103,8 @@ pub(super) fn begin(
         offsets.extend(deformation.groups.offsets.iter().skip(1).map(|offset| before + offset));
         points.extend_from_slice(&deformation.groups.points);
         radii.extend_from_slice(&deformation.radii);
-        statistics.extend(
-            deformation.statistics.iter().map(|s| [s.value.to_bits(), s.kept, s.residual.to_bits()]),
-        );
+        statistics
+            .extend(deformation.statistics.iter().map(|s| [s.value.to_bits(), s.kept, s.residual.to_bits()]));
         begun.push(Begun { travel_mm: deformation.travel_mm, history_mm: deformation.history_mm });
     }
     write("offsets", bytemuck::cast_slice(&offsets))?;
