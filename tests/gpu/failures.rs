@@ -69,7 +69,7 @@ fn too_large_a_job_is_refused_with_both_numbers() {
     };
     let (name, needed) = refused(u32::MAX, &Settings::default());
     assert_eq!((name.as_str(), needed), ("section", 12 * u64::from(u32::MAX)));
-    // One point too many, and as many as the device allows.
+    // One point too many.
     if let Ok(most) = u32::try_from(allowed / 12) {
         refused(most + 1, &Settings::default());
     }

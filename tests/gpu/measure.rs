@@ -172,9 +172,13 @@ fn measure_long_begins_right_above_each_short_capacity() {
     for lanes in LANES {
         let capacity = 8 * lanes;
         let mut sizes = vec![capacity + 1, capacity, capacity + 2, 2 * capacity];
-        sizes.resize(60, lanes * 3 / 2);
+        sizes.resize(60, lanes);
         let settings = Settings::default();
-        Faces::new(&settings, &sizes, Pattern::Random).agrees(device, &settings, true);
+        let faces = Faces::new(&settings, &sizes, Pattern::Random);
+        let count = faces.points.len() as u32;
+        let chosen = device.engine.prepare(count, RADIUS_MM, &settings).unwrap().job().short_most;
+        assert_eq!(chosen, capacity, "{lanes} lanes");
+        faces.agrees(device, &settings, true);
     }
 }
 

@@ -37,6 +37,23 @@ fn permuted_points_give_the_same_bits() {
 }
 
 #[test]
+fn threads_can_share_an_engine() {
+    let Some(device) = device() else { return };
+    let settings = Settings::default();
+    let section = wall(300, 163);
+    let alone = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                for _ in 0..25 {
+                    assert_same(&device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap(), &alone);
+                }
+            });
+        }
+    });
+}
+
+#[test]
 fn any_number_of_threads_writes_the_same_bytes() {
     let Some(device) = device() else { return };
     let folder = tempfile::tempdir().unwrap();

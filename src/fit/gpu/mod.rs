@@ -223,10 +223,12 @@ impl GpuEngine {
         }
         self.context.wait(submission, PATIENCE)?;
         for _ in &copies {
-            match receiver.try_recv() {
+            // Where several threads use the device, another one's wait may be the one that tells of our results,
+            // a moment after ours has returned.
+            match receiver.recv_timeout(PATIENCE) {
                 Ok(Ok(())) => {}
                 Ok(Err(error)) => return Err(GpuError::Lost { reason: error.to_string() }),
-                Err(_) => return Err(GpuError::Lost { reason: "a result was not mapped".into() }),
+                Err(_) => return Err(GpuError::Timeout { seconds: PATIENCE.as_secs() }),
             }
         }
         copies

@@ -112,15 +112,15 @@ impl Workspace {
         let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
         let sizes = sizes(&job, point_count, settings.iterations, history, travel_stride);
         let bytes = sizes.iter().map(|(_, size)| size).sum();
-        for (name, size) in &sizes {
-            let allowed = match *name {
-                "history" => limits.max_buffer_size,
-                _ => limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
-            };
-            if *size > allowed {
-                return Err(GpuError::TooLarge { name: (*name).into(), needed: *size, allowed });
-            }
+        let allowed = |name: &str| match name {
+            "history" => limits.max_buffer_size,
+            _ => limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+        };
+        let too_large = sizes.iter().rev().filter(|(name, size)| *size > allowed(name));
+        if let Some((name, needed)) = too_large.max_by_key(|(_, size)| size) {
+            return Err(GpuError::TooLarge { name: (*name).into(), needed: *needed, allowed: allowed(name) });
         }
+        context.alive()?;
 
         let device = &context.device;
         let buffers: BTreeMap<&'static str, wgpu::Buffer> = checked(device, "buffers", || {
