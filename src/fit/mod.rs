@@ -54,7 +54,7 @@ pub fn merged_frames(frame_count: usize, settings: &Settings) -> Vec<usize> {
 /// The engine that the settings ask for.
 ///
 /// # Errors
-/// [`Error::Gpu`](crate::Error::Gpu) where the settings insist on a device and there is none.
+/// [`Error::Gpu`] where the settings insist on a device and there is none.
 pub fn engine(settings: &Settings) -> Result<Box<dyn Engine>> {
     Ok(match settings.backend {
         Backend::Auto => Box::new(AutoEngine::default()),

@@ -14,6 +14,7 @@ mod failures;
 mod fill;
 mod grouping;
 mod host;
+mod large;
 mod measure;
 mod noop;
 mod order;
@@ -21,7 +22,4 @@ mod project;
 mod recordings;
 mod sections;
 mod shaders;
-#[path = "../support/mod.rs"]
-#[expect(dead_code, reason = "shared with tests of other areas")]
-mod support;
 mod update;

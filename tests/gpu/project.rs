@@ -38,7 +38,9 @@ fn twin(job: &Job) -> Expected {
                 expected.passed.push(expected.owners.len());
                 expected.owners.push(cylinder as u32);
                 let [r, theta, z] = &mut expected.coordinates;
-                (r.push(one.r[0]), theta.push(one.theta[0]), z.push(one.z[0]));
+                r.push(one.r[0]);
+                theta.push(one.theta[0]);
+                z.push(one.z[0]);
             }
         }
     }

@@ -16,7 +16,7 @@ pub(super) enum Points<'a> {
 
 /// The device memory of a batch of cylinders that are fitted together.
 ///
-/// [`Workspace::record`] puts the whole fit into a command encoder: nothing is submitted, waited for or read
+/// [`GpuEngine::record`](super::GpuEngine::record) puts the whole fit into a command encoder: nothing is submitted, waited for or read
 /// back behind the caller's back, and it can be recorded again for new points of the same number.
 pub struct Workspace {
     job: DeviceJob,
