@@ -19,6 +19,7 @@ mod measure;
 mod noop;
 mod order;
 mod project;
+mod record;
 mod recordings;
 mod sections;
 mod shaders;
