@@ -6,6 +6,7 @@ use crate::sections::{RADIUS_MM, recording, rows, wall};
 use lumenmesh::fit::gpu::{GpuEngine, PASSES, Requirements, Workspace};
 use lumenmesh::fit::passes::Section;
 use lumenmesh::fit::{Engine, Job, Track, merged_frames};
+use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -135,20 +136,31 @@ fn a_device_with_little_room_takes_a_job_in_batches() {
     let (host, queue) = pollster::block_on(adapter.request_device(&request)).unwrap();
     let little = GpuEngine::on_device(host, queue).unwrap();
 
-    let settings = Settings::default();
-    let track = Track::of(&recording(100, 150, 197), &settings).unwrap();
-    let frames = merged_frames(track.len(), &settings);
-    let batches = AtomicUsize::new(0);
-    let count = |_| {
-        batches.fetch_add(1, Ordering::Relaxed);
-    };
-    let job = Job { history: true, progress: &count, ..Job::new(&track, &frames, &settings) };
-    let found = little.fit(&job).unwrap();
-    let batches = batches.load(Ordering::Relaxed);
-    assert!((2..=frames.len()).contains(&batches), "{batches} batches of {} cylinders", frames.len());
-    let expected = device.engine.fit(&Job { progress: &|_| (), ..job }).unwrap();
-    for (found, expected) in found.iter().zip(&expected) {
-        assert_eq!(found.frame, expected.frame);
-        assert_same(&found.tube, &expected.tube);
+    // Many points, and many frames with one point or none, whose transforms take more room than they do.
+    for (pullback, every) in [(recording(100, 150, 197), 10), (close_together(recording(100, 1, 199)), 2)] {
+        let settings = Settings { every, ..Settings::default() };
+        let track = Track::of(&pullback, &settings).unwrap();
+        let frames = merged_frames(track.len(), &settings);
+        let batches = AtomicUsize::new(0);
+        let count = |_| {
+            batches.fetch_add(1, Ordering::Relaxed);
+        };
+        let job = Job { history: true, progress: &count, ..Job::new(&track, &frames, &settings) };
+        let found = little.fit(&job).unwrap();
+        let batches = batches.load(Ordering::Relaxed);
+        assert!((2..=frames.len()).contains(&batches), "{batches} batches of {} cylinders", frames.len());
+        let expected = device.engine.fit(&Job { progress: &|_| (), ..job }).unwrap();
+        for (found, expected) in found.iter().zip(&expected) {
+            assert_eq!(found.frame, expected.frame);
+            assert_same(&found.tube, &expected.tube);
+        }
     }
+}
+
+/// The same frames on a tenth of the way, so that nearly all are near every later cylinder.
+fn close_together(mut recording: Recording) -> Recording {
+    for frame in &mut recording.frames {
+        frame.world_from_sensor.translation_mm *= 0.1;
+    }
+    recording
 }

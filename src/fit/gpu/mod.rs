@@ -338,19 +338,31 @@ impl GpuEngine {
         let limits = self.context.device.limits();
         let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         let tube = Tube::new(job.settings);
-        // The largest arrays: 12 bytes a slot, 24 a face, 4 a node for each iteration of the history.
+        // What grows fastest with each of them: 12 bytes a slot, 24 a face, 4 a node for each iteration of the
+        // history, and what the pairs and their frames' points take.
         let history = if job.history { 4 * (u64::from(job.settings.iterations) + 1) } else { 4 };
-        let fits = |slots: u64, cylinders: u64| {
+        let fits = |slots: u64, cylinders: u64, pairs: usize, points: &Range<usize>| {
             12 * slots <= most_bytes
                 && 24 * cylinders * tube.face_count() as u64 <= most_bytes
                 && history * cylinders * tube.node_count() as u64 <= limits.max_buffer_size
+                && (size_of::<DevicePair>() * pairs) as u64 <= most_bytes
+                && 8 * points.len() as u64 <= most_bytes
                 && cylinders <= 65_535
+        };
+        let span = |a: &Range<usize>, b: &Range<usize>| match (a.is_empty(), b.is_empty()) {
+            (true, _) => b.clone(),
+            (_, true) => a.clone(),
+            _ => a.start.min(b.start)..a.end.max(b.end),
         };
         let mut batches: Vec<Batch> = Vec::new();
         let mut slots = 0;
         for (k, (radius_mm, pairs)) in near.into_iter().enumerate() {
             let own: u64 = pairs.iter().map(|p| p.echoes.len() as u64).sum();
-            let open = batches.last().is_some_and(|b| fits(slots + own, b.radii_mm.len() as u64 + 1));
+            let own_points = pairs.iter().fold(0..0, |all, p| span(&all, &p.echoes));
+            let open = batches.last().is_some_and(|b| {
+                let cylinders = b.radii_mm.len() as u64 + 1;
+                fits(slots + own, cylinders, b.pairs.len() + pairs.len(), &span(&b.points, &own_points))
+            });
             if !open {
                 batches.push(Batch { members: k..k, radii_mm: vec![], pairs: vec![], points: 0..0 });
                 slots = 0;
@@ -363,11 +375,8 @@ impl GpuEngine {
                 let slot = u32::try_from(slots).unwrap_or(u32::MAX);
                 batch.pairs.push(DevicePair::new(&pair.cylinder_from_probe, cylinder, first, count, slot));
                 slots += u64::from(count);
-                batch.points = match batch.points.is_empty() {
-                    true => pair.echoes.clone(),
-                    false => batch.points.start.min(pair.echoes.start)..batch.points.end.max(pair.echoes.end),
-                };
             }
+            batch.points = span(&batch.points, &own_points);
             batch.radii_mm.push(radius_mm);
             batch.members.end = k + 1;
         }
