@@ -1,6 +1,7 @@
 //! The device of these tests, and single passes run on it.
 
 use lumenmesh::fit::gpu::{GpuEngine, Workspace, adapters};
+use std::io::Write;
 use std::sync::OnceLock;
 
 /// What a buffer holds before a pass writes it.
@@ -13,6 +14,11 @@ pub struct Device {
     pub exact: bool,
 }
 
+/// Says something even where the test passes, when what `eprintln` writes is not shown.
+pub fn say(text: &str) {
+    writeln!(std::io::stderr(), "{text}").unwrap();
+}
+
 /// The device, once for all tests; `None`, said loudly, where there is none.
 pub fn device() -> Option<&'static Device> {
     static DEVICE: OnceLock<Option<Device>> = OnceLock::new();
@@ -23,17 +29,20 @@ pub fn device() -> Option<&'static Device> {
 pub fn open() -> Option<Device> {
     let found = adapters();
     for adapter in &found {
-        eprintln!("adapter: {} ({}, {}, {})", adapter.name, adapter.kind, adapter.backend, adapter.driver);
+        say(&format!(
+            "adapter: {} ({}, {}, {})",
+            adapter.name, adapter.kind, adapter.backend, adapter.driver
+        ));
     }
     if found.is_empty() {
         let required = std::env::var("LUMENMESH_REQUIRE_GPU").is_ok_and(|value| value == "1");
         assert!(!required, "no GPU adapter");
-        eprintln!("SKIPPED: no GPU adapter");
+        say("SKIPPED: no GPU adapter (LUMENMESH_REQUIRE_GPU=1 makes that a failure)");
         return None;
     }
     let engine = GpuEngine::new(std::env::var("LUMENMESH_ADAPTER").ok().as_deref()).unwrap();
     let name = engine.adapter().unwrap().name.clone();
-    eprintln!("these tests run on {name}");
+    say(&format!("these tests run on {name}"));
     Some(Device { engine, exact: name.contains("llvmpipe") })
 }
 

@@ -1,7 +1,7 @@
 //! Recording into a host's own encoder: again, several at once, timed, and on a device with little room.
 
 use crate::cylinders::assert_same;
-use crate::device::{Device, device};
+use crate::device::{Device, device, say};
 use crate::sections::{RADIUS_MM, recording, rows, wall};
 use lumenmesh::fit::gpu::{GpuEngine, PASSES, Requirements, Workspace};
 use lumenmesh::fit::passes::Section;
@@ -87,7 +87,7 @@ fn passes_are_timed_one_by_one_in_their_order() {
     let Some(device) = device() else { return };
     let host = device.engine.device();
     if !host.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
-        eprintln!("SKIPPED: the device cannot time passes");
+        say("SKIPPED: the device cannot time passes");
         return;
     }
     let settings = Settings { iterations: 2, ..Settings::default() };

@@ -1,7 +1,7 @@
 //! Whole recordings.
 
 use crate::cylinders::{assert_all_agree, assert_same};
-use crate::device::device;
+use crate::device::{device, say};
 use crate::sections::recording;
 use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::fit::{CpuEngine, Engine, Job, Track, merged_frames};
@@ -22,7 +22,7 @@ fn shared(path: &str) -> Option<PathBuf> {
     }
     let required = std::env::var("LUMENMESH_REQUIRE_DATA").is_ok_and(|value| value == "1");
     assert!(!required, "{} is missing", file.display());
-    eprintln!("SKIPPED: {} is missing (LUMENMESH_SHARED names the data's folder)", file.display());
+    say(&format!("SKIPPED: {} is missing (LUMENMESH_SHARED names the data's folder)", file.display()));
     None
 }
 
