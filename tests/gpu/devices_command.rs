@@ -1,5 +1,6 @@
 //! The command `devices`.
 
+use crate::sections::recording;
 use lumenmesh::fit::gpu::adapters;
 use std::process::{Command, Output};
 
@@ -29,6 +30,28 @@ fn every_adapter_is_listed_and_one_is_chosen() {
         assert_eq!(json["gpu"]["adapter"], best.name);
         assert_eq!(json["auto"]["adapter"].is_null(), best.is_software());
     }
+}
+
+#[test]
+fn an_unknown_adapter_is_answered_with_those_that_are_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let pullback = folder.path().join("pullback");
+    recording(20, 50, 211).write(&pullback).unwrap();
+    let mesh = folder.path().join("mesh.ply");
+    let output = Command::new(env!("CARGO_BIN_EXE_lumenmesh"))
+        .arg("reconstruct")
+        .arg(&pullback)
+        .args(["--backend", "gpu", "--adapter", "no such adapter", "-o"])
+        .arg(&mesh)
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(message.contains("no GPU adapter named \"no such adapter\"; found "), "{message}");
+    for adapter in adapters() {
+        assert!(message.contains(&adapter.name), "{message}");
+    }
+    assert!(!mesh.exists());
 }
 
 /// A Vulkan loader that is told of no driver finds none.

@@ -1,11 +1,12 @@
 //! Sections that are hard on grouping and measuring: skewed, empty, on edges, tiny and huge.
 
-use crate::cylinders::assert_agree;
+use crate::cylinders::{assert_agree, assert_all_agree};
 use crate::device::{Device, device};
 use crate::grouping::bins_and_scatters;
-use crate::sections::{RADIUS_MM, both, patch, wall};
+use crate::sections::{RADIUS_MM, both, patch, recording, wall};
+use glam::DVec2;
 use lumenmesh::fit::passes::Section;
-use lumenmesh::fit::{CpuEngine, Engine};
+use lumenmesh::fit::{CpuEngine, Engine, Job, Track};
 use lumenmesh::settings::{Outliers, Settings};
 use std::f64::consts::{PI, TAU};
 
@@ -133,6 +134,22 @@ fn numbers_that_are_not_finite_are_refused_before_they_reach_the_device() {
     let mut uneven = wall(100, 97);
     uneven.z.pop();
     assert!(device.engine.fit_section(&uneven, RADIUS_MM, &Settings::default()).is_err());
+}
+
+#[test]
+fn echoes_too_far_for_f32_are_left_out_as_on_the_cpu() {
+    let Some(device) = device() else { return };
+    let settings = Settings::default();
+    let mut pullback = recording(20, 60, 223);
+    for (k, frame) in pullback.frames.iter_mut().enumerate() {
+        let far = [1e19, 1e25, 3.4e38, 1e39, 1e300][k % 5];
+        frame.contour_mm[3] = DVec2::new(far, -far);
+        frame.contour_mm[4] = DVec2::new(0.0, far);
+    }
+    let track = Track::of(&pullback, &settings).unwrap();
+    let job = Job::new(&track, &[9, 19], &settings);
+    let expected = CpuEngine::<f32>::new().fit(&job).unwrap();
+    assert_all_agree(device, &device.engine.fit(&job).unwrap(), &expected);
 }
 
 #[test]
