@@ -2,6 +2,8 @@
 
 mod bench;
 mod demo;
+#[cfg(feature = "gpu")]
+mod devices;
 mod evaluate;
 mod import;
 mod info;
@@ -34,6 +36,8 @@ enum Command {
     Bench(bench::Arguments),
     Simulate(simulate::Arguments),
     Render(render::Arguments),
+    #[cfg(feature = "gpu")]
+    Devices(devices::Arguments),
 }
 
 /// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong.
@@ -48,6 +52,8 @@ pub fn main() -> ExitCode {
         Command::Bench(arguments) => arguments.run(),
         Command::Simulate(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
+        #[cfg(feature = "gpu")]
+        Command::Devices(arguments) => arguments.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -2,7 +2,7 @@
 
 use super::context::{Context, checked};
 use super::pass::{LANES, Pipeline};
-use super::{DeviceCylinder, DeviceJob, DevicePair, GpuError};
+use super::{CpuStages, DeviceCylinder, DeviceJob, DevicePair, GpuError};
 use crate::settings::Settings;
 use std::collections::BTreeMap;
 
@@ -16,7 +16,7 @@ pub(super) enum Points<'a> {
 
 /// The device memory of a batch of cylinders that are fitted together.
 ///
-/// [`Workspace::record`] puts the whole fit into a command encoder: nothing is submitted, waited for or read
+/// [`GpuEngine::record`](super::GpuEngine::record) puts the whole fit into a command encoder: nothing is submitted, waited for or read
 /// back behind the caller's back, and it can be recorded again for new points of the same number.
 pub struct Workspace {
     job: DeviceJob,
@@ -100,21 +100,27 @@ impl Workspace {
         };
         let lanes = lanes(slots, faces);
         let cylinders = radii_mm.len() as u32;
-        let job = DeviceJob::new(settings, cylinders, slots as u32, pairs, lanes);
+        // Slots are numbered in u32, whatever the device could hold.
+        let slot_count = u32::try_from(slots).map_err(|_| GpuError::TooLarge {
+            name: "section".into(),
+            needed: 12 * slots,
+            allowed: 12 * u64::from(u32::MAX),
+        })?;
+        let job = DeviceJob::new(settings, cylinders, slot_count, pairs, lanes);
         let limits = context.device.limits();
         let alignment = u64::from(limits.min_storage_buffer_offset_alignment);
         let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
         let sizes = sizes(&job, point_count, settings.iterations, history, travel_stride);
         let bytes = sizes.iter().map(|(_, size)| size).sum();
-        for (name, size) in &sizes {
-            let allowed = match *name {
-                "history" => limits.max_buffer_size,
-                _ => limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
-            };
-            if *size > allowed {
-                return Err(GpuError::TooLarge { name: (*name).into(), needed: *size, allowed });
-            }
+        let allowed = |name: &str| match name {
+            "history" => limits.max_buffer_size,
+            _ => limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+        };
+        let too_large = sizes.iter().rev().filter(|(name, size)| *size > allowed(name));
+        if let Some((name, needed)) = too_large.max_by_key(|(_, size)| size) {
+            return Err(GpuError::TooLarge { name: (*name).into(), needed: *needed, allowed: allowed(name) });
         }
+        context.alive()?;
 
         let device = &context.device;
         let buffers: BTreeMap<&'static str, wgpu::Buffer> = checked(device, "buffers", || {
@@ -298,21 +304,29 @@ impl Workspace {
         Ok(())
     }
 
-    /// Records the whole fit: grouping, all iterations, support. The section buffer must hold the points.
+    /// Records the fit behind the stages that ran on the CPU and whose results the buffers hold: grouping, all
+    /// iterations, support. With [`CpuStages::None`] the section buffer of a single tube must hold its points.
     pub(super) fn record(
         &self,
         context: &Context,
         pipelines: &[Pipeline],
         encoder: &mut wgpu::CommandEncoder,
+        done: CpuStages,
         history: bool,
         timer: &mut Timer,
     ) -> Result<(), GpuError> {
-        for name in ["counts", "gated", "travels", "tallies", "statistics"] {
+        for name in ["counts", "travels", "tallies"] {
             encoder.clear_buffer(&self.buffers[name], 0, None);
         }
         encoder.clear_buffer(&self.buffers["long_faces"], 0, Some(4));
-        let radii_bytes = self.buffers["radii"].size();
-        encoder.copy_buffer_to_buffer(&self.buffers["primitive"], 0, self.radii(), 0, Some(radii_bytes));
+        if done < CpuStages::Project {
+            encoder.clear_buffer(&self.buffers["gated"], 0, None);
+        }
+        if done.iterations() == 0 {
+            encoder.clear_buffer(&self.buffers["statistics"], 0, None);
+            let radii_bytes = self.buffers["radii"].size();
+            encoder.copy_buffer_to_buffer(&self.buffers["primitive"], 0, self.radii(), 0, Some(radii_bytes));
+        }
         let keep = |encoder: &mut wgpu::CommandEncoder, iteration: u32| {
             if history {
                 let bytes = 4 * u64::from(self.job.cylinders) * u64::from(self.job.node_count);
@@ -322,10 +336,18 @@ impl Workspace {
         };
         keep(encoder, 0);
         let is_iterated = |name: &str| matches!(name, n if n.starts_with("measure") || n.starts_with("fill") || n == "update");
-        let once_before = pipelines.iter().filter(|p| !is_iterated(p.pass.name) && p.pass.name != "support");
+        let is_done = |name: &str| match name {
+            "project" => self.job.single == 1 || done >= CpuStages::Project,
+            // The long faces are the device's own business.
+            "bin" | "scatter" => done >= CpuStages::Group,
+            n => n.starts_with("scan") && done >= CpuStages::Group,
+        };
+        let once_before = pipelines
+            .iter()
+            .filter(|p| !is_iterated(p.pass.name) && !is_done(p.pass.name) && p.pass.name != "support");
         let iterated: Vec<_> = pipelines.iter().filter(|p| is_iterated(p.pass.name)).collect();
         let mut steps: Vec<(&Pipeline, u32)> = once_before.map(|p| (p, 0)).collect();
-        for iteration in 0..self.iterations {
+        for iteration in done.iterations()..self.iterations {
             steps.extend(iterated.iter().map(|&p| (p, iteration)));
         }
         steps.extend(pipelines.iter().filter(|p| p.pass.name == "support").map(|p| (p, 0)));
@@ -342,7 +364,7 @@ impl Workspace {
             for (pipeline, iteration) in steps.by_ref() {
                 let name = pipeline.pass.name;
                 let [x, y, z] = self.groups(name);
-                if x > 0 && !(name == "project" && self.job.single == 1) {
+                if x > 0 {
                     compute.set_pipeline(pipeline.get(&context.device, self.lanes)?);
                     compute.set_bind_group(
                         0,
