@@ -14,7 +14,7 @@ mod workspace;
 pub use context::{AdapterDescription, Requirements, adapters};
 pub use error::GpuError;
 pub use job::{DeviceCylinder, DeviceJob, DevicePair};
-pub use pass::{Access, LANES, PASSES, Pass};
+pub use pass::{Access, Items, LANES, PASSES, Pass, Stage};
 pub use stages::CpuStages;
 pub use workspace::Workspace;
 

@@ -1,7 +1,7 @@
 //! The buffers of a batch and the recording of its passes.
 
 use super::context::{Context, checked};
-use super::pass::{LANES, Pipeline};
+use super::pass::{Items, LANES, Pass, Pipeline, Stage};
 use super::{CpuStages, DeviceCylinder, DeviceJob, DevicePair, GpuError};
 use crate::settings::Settings;
 use std::collections::BTreeMap;
@@ -270,23 +270,44 @@ impl Workspace {
     }
 
     /// How many workgroups a pass needs: two dimensions and the cylinders.
-    fn groups(&self, pass: &str) -> [u32; 3] {
-        let job = &self.job;
+    fn groups(&self, pass: &Pass) -> [u32; 3] {
+        let (job, size) = (&self.job, pass.workgroup_size);
         let all_faces = job.cylinders * job.faces;
-        let (count, layers) = match pass {
-            "project" => (job.pairs, 1),
-            "bin" | "scatter" => (job.slots.div_ceil(256), 1),
-            "scan_reduce" | "scan_downsweep" => (all_faces.div_ceil(1024), 1),
-            "scan_spine" => (1, 1),
-            "classify" => (all_faces.div_ceil(256), 1),
-            "measure_short" => (job.faces.div_ceil(128 / self.lanes), job.cylinders),
-            "measure_long" => (self.long_groups, 1),
-            "fill_bottom" | "fill_top" => (job.faces.div_ceil(64), job.cylinders),
-            _ => (job.node_count.div_ceil(64), job.cylinders),
+        let (count, layers) = match pass.items {
+            Items::Pairs => (job.pairs, 1),
+            Items::Slots => (job.slots.div_ceil(size), 1),
+            Items::Blocks => (all_faces.div_ceil(1024), 1),
+            Items::One => (1, 1),
+            Items::AllFaces => (all_faces.div_ceil(size), 1),
+            Items::ShortFaces => (job.faces.div_ceil(size / self.lanes), job.cylinders),
+            Items::LongFaces => (self.long_groups, 1),
+            Items::Faces => (job.faces.div_ceil(size), job.cylinders),
+            Items::Nodes => (job.node_count.div_ceil(size), job.cylinders),
         };
         // A dimension holds 65,535 at most.
         let rows = count.div_ceil(65_535).max(1);
         [count.div_ceil(rows), if count == 0 { 0 } else { rows }, layers]
+    }
+
+    /// Puts one pass into a compute pass; one without work is left out.
+    fn dispatch(
+        &self,
+        context: &Context,
+        pipeline: &Pipeline,
+        iteration: u32,
+        compute: &mut wgpu::ComputePass,
+    ) -> Result<(), GpuError> {
+        let [x, y, z] = self.groups(pipeline.pass);
+        let bind_groups = &self.bind_groups[pipeline.pass.name];
+        // All but `update` bind the same in every iteration.
+        if x > 0
+            && let Some(bind_group) = bind_groups.get(iteration as usize).or(bind_groups.first())
+        {
+            compute.set_pipeline(pipeline.get(&context.device, self.lanes)?);
+            compute.set_bind_group(0, bind_group, &[]);
+            compute.dispatch_workgroups(x, y, z);
+        }
+        Ok(())
     }
 
     /// Records one pass alone (`update` as of the first iteration), on what the buffers hold.
@@ -296,12 +317,7 @@ impl Workspace {
         pipeline: &Pipeline,
         encoder: &mut wgpu::CommandEncoder,
     ) -> Result<(), GpuError> {
-        let [x, y, z] = self.groups(pipeline.pass.name);
-        let mut compute = encoder.begin_compute_pass(&Default::default());
-        compute.set_pipeline(pipeline.get(&context.device, self.lanes)?);
-        compute.set_bind_group(0, &self.bind_groups[pipeline.pass.name][0], &[]);
-        compute.dispatch_workgroups(x, y, z);
-        Ok(())
+        self.dispatch(context, pipeline, 0, &mut encoder.begin_compute_pass(&Default::default()))
     }
 
     /// Records the fit behind the stages that ran on the CPU and whose results the buffers hold: grouping, all
@@ -335,26 +351,20 @@ impl Workspace {
             }
         };
         keep(encoder, 0);
-        let is_iterated = |name: &str| matches!(name, n if n.starts_with("measure") || n.starts_with("fill") || n == "update");
-        let is_done = |name: &str| match name {
-            "project" => self.job.single == 1 || done >= CpuStages::Project,
-            // The long faces are the device's own business.
-            "bin" | "scatter" => done >= CpuStages::Group,
-            n => n.starts_with("scan") && done >= CpuStages::Group,
+        let is_done = |stage: Stage| match stage {
+            Stage::Project => self.job.single == 1 || done >= CpuStages::Project,
+            Stage::Group => done >= CpuStages::Group,
+            _ => false,
         };
-        let once_before = pipelines
-            .iter()
-            .filter(|p| !is_iterated(p.pass.name) && !is_done(p.pass.name) && p.pass.name != "support");
-        let iterated: Vec<_> = pipelines.iter().filter(|p| is_iterated(p.pass.name)).collect();
-        let mut steps: Vec<(&Pipeline, u32)> = once_before.map(|p| (p, 0)).collect();
-        for iteration in done.iterations()..self.iterations {
-            steps.extend(iterated.iter().map(|&p| (p, iteration)));
-        }
-        steps.extend(pipelines.iter().filter(|p| p.pass.name == "support").map(|p| (p, 0)));
+        let of = |stage: Stage| pipelines.iter().filter(move |p| p.pass.stage == stage && !is_done(stage));
+        let before = [Stage::Project, Stage::Group, Stage::Classify].into_iter().flat_map(of).map(|p| (p, 0));
+        let iterations = done.iterations()..self.iterations;
+        let iterated = iterations.flat_map(|i| of(Stage::Iterate).map(move |p| (p, i)));
+        let after = of(Stage::Support).map(|p| (p, 0));
 
-        let mut steps = steps.into_iter().peekable();
-        while steps.peek().is_some() {
-            let timestamp_writes = steps.peek().and_then(|(p, _)| timer(p.pass.name));
+        let mut steps = before.chain(iterated).chain(after).peekable();
+        while let Some((first, _)) = steps.peek() {
+            let timestamp_writes = timer(first.pass.name);
             let timed = timestamp_writes.is_some();
             let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                 label: Some("lumenmesh fit"),
@@ -362,22 +372,11 @@ impl Workspace {
             });
             let mut finished = None;
             for (pipeline, iteration) in steps.by_ref() {
-                let name = pipeline.pass.name;
-                let [x, y, z] = self.groups(name);
-                if x > 0 {
-                    compute.set_pipeline(pipeline.get(&context.device, self.lanes)?);
-                    compute.set_bind_group(
-                        0,
-                        &self.bind_groups[name][iteration as usize % self.bind_groups[name].len()],
-                        &[],
-                    );
-                    compute.dispatch_workgroups(x, y, z);
-                }
+                self.dispatch(context, pipeline, iteration, &mut compute)?;
+                let ends_iteration = pipeline.pass.name == "update";
+                finished = ends_iteration.then_some(iteration + 1);
                 // A timed pass stands alone; the history is copied between iterations.
-                if name == "update" && history {
-                    finished = Some(iteration + 1);
-                }
-                if timed || finished.is_some() {
+                if timed || (history && ends_iteration) {
                     break;
                 }
             }
