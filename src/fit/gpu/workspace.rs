@@ -245,30 +245,6 @@ impl Workspace {
         &self.buffers["radii"]
     }
 
-    /// Bytes that a pass must read and write in a whole fit, each input once and each output once.
-    pub fn bytes_of(&self, pass: &str) -> u64 {
-        let [slots, faces, nodes] = [
-            u64::from(self.job.slots),
-            u64::from(self.job.cylinders) * u64::from(self.job.faces),
-            u64::from(self.job.cylinders) * u64::from(self.job.node_count),
-        ];
-        let iterations = u64::from(self.iterations);
-        match pass {
-            "project" => (8 + 16) * slots,
-            "bin" => (8 + 8) * slots + 4 * faces,
-            "scan_reduce" | "classify" => 4 * faces,
-            "scan_downsweep" => 8 * faces,
-            "scatter" => (12 + 8 + 12) * slots + 4 * faces,
-            "measure_short" => iterations * (12 * slots + (4 + 24) * faces + 4 * nodes),
-            // Keys are written once and read once a round: four rounds and the sums.
-            "measure_long" => iterations * (12 + 4 + 5 * 4) * slots,
-            "fill_bottom" | "fill_top" => iterations * (12 + 4) * faces,
-            "update" => iterations * (8 * faces + 8 * nodes),
-            "support" => 24 * faces + 8 * nodes,
-            _ => 0,
-        }
-    }
-
     /// How many workgroups a pass needs: two dimensions and the cylinders.
     fn groups(&self, pass: &Pass) -> [u32; 3] {
         let (job, size) = (&self.job, pass.workgroup_size);
