@@ -8,6 +8,7 @@ pub mod cli;
 pub mod cylinder;
 mod error;
 pub mod evaluate;
+pub mod experiments;
 pub mod fit;
 pub mod geometry;
 pub mod merge;
