@@ -2,6 +2,7 @@
 
 mod demo;
 mod evaluate;
+mod experiments;
 mod import;
 mod info;
 mod progress;
@@ -9,6 +10,7 @@ mod reconstruct;
 mod render;
 mod settings;
 mod simulate;
+mod vessel;
 
 use crate::{Error, Result};
 use clap::{Parser, Subcommand};
@@ -29,6 +31,7 @@ enum Command {
     Import(import::Arguments),
     Demo(demo::Arguments),
     Simulate(simulate::Arguments),
+    Experiments(experiments::Arguments),
     Render(render::Arguments),
 }
 
@@ -41,6 +44,7 @@ pub fn main() -> ExitCode {
         Command::Import(arguments) => arguments.run(),
         Command::Demo(arguments) => arguments.run(),
         Command::Simulate(arguments) => arguments.run(),
+        Command::Experiments(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
     };
     match done {

@@ -28,7 +28,10 @@ pub const DEFINITIONS: [(&str, &str); 5] = [
     ),
     ("median fitting error", "median over the cylinders of the error of a cylinder (nearest rank)"),
     ("original, deformed", "the cylinders before the fit, and after its last iteration"),
-    ("not merged", "mean over all nodes of all cylinders, each cylinder whole, so that most places count many times"),
+    (
+        "not merged",
+        "mean over all nodes of all cylinders, each cylinder whole, so that most places count many times",
+    ),
     ("merged", "mean over the nodes of the stitched mesh"),
 ];
 
@@ -162,7 +165,8 @@ pub fn run(
     let truth = Truth::new(vessel.surface().clone())?;
     let larger_cylinder = larger_cylinder(&plan.settings, 3)?;
     let frustum = frustum(&plan.settings, 10)?;
-    let simulated = Simulation::run_and_tell(vessel, &simulation, &|done, all| tell("simulating", done, all))?;
+    let simulated =
+        Simulation::run_and_tell(vessel, &simulation, &|done, all| tell("simulating", done, all))?;
     let simulate_seconds = start.elapsed().as_secs_f64();
 
     let engine = engine(&plan.settings)?;

@@ -1,7 +1,9 @@
 //! What a person looks at: pictures of meshes, plots, and pages of both.
 
+mod experiments;
 mod page;
 pub mod plot;
 pub mod render;
 
+pub use experiments::{experiments_page, tables};
 pub use page::Table;

@@ -72,7 +72,8 @@ impl Page {
             format!("<tr>{}</tr>\n", cells.collect::<String>())
         };
         let rows: String = table.rows.iter().map(|cells| row(cells, "td")).collect();
-        let head = if table.head.iter().all(String::is_empty) { String::new() } else { row(&table.head, "th") };
+        let head =
+            if table.head.iter().all(String::is_empty) { String::new() } else { row(&table.head, "th") };
         let caption = match table.title.as_str() {
             "" => String::new(),
             title => format!("<caption>{}</caption>\n", escaped(title)),
@@ -85,10 +86,21 @@ impl Page {
         self
     }
 
+    /// Terms and what they mean.
+    pub fn definitions<'a>(&mut self, terms: impl IntoIterator<Item = (&'a str, &'a str)>) -> &mut Self {
+        self.body += "<dl>\n";
+        for (term, meaning) in terms {
+            self.push("dt", term).push("dd", meaning);
+        }
+        self.body += "</dl>\n";
+        self
+    }
+
     /// A plot: SVG text, and what it shows.
     pub fn plot(&mut self, svg: &str, caption: &str) -> &mut Self {
         // Its size is the page's to set.
-        let svg = svg.trim_start_matches(|c| c != '<').replacen("<svg width=\"760\" height=\"380\"", "<svg", 1);
+        let svg =
+            svg.trim_start_matches(|c| c != '<').replacen("<svg width=\"760\" height=\"380\"", "<svg", 1);
         self.figure(&svg, caption)
     }
 
@@ -122,7 +134,8 @@ impl Page {
     }
 
     fn figure(&mut self, content: &str, caption: &str) -> &mut Self {
-        self.body += &format!("<figure>\n{content}\n<figcaption>{}</figcaption>\n</figure>\n", escaped(caption));
+        self.body +=
+            &format!("<figure>\n{content}\n<figcaption>{}</figcaption>\n</figure>\n", escaped(caption));
         self
     }
 
@@ -143,6 +156,7 @@ caption { text-align: left; font-weight: 600; padding-bottom: .3rem; }
 th, td { padding: .2rem .9rem .2rem 0; text-align: right; border-bottom: 1px solid #e2e2e2; vertical-align: top; }
 th { font-weight: 600; border-bottom-color: #888; }
 th:first-child, td:first-child { text-align: left; }
+dt { font-weight: 600; } dd { margin: 0 0 .5rem 1.2rem; max-width: 46rem; }
 .note, figcaption { color: #55555c; font-size: .9rem; margin: .3rem 0 1.2rem; }
 figure { margin: 1rem 0; }
 figure svg, figure img { display: block; width: 100%; height: auto; max-width: 48rem; }
@@ -186,7 +200,10 @@ mod tests {
         let table = Table {
             title: "Heights".into(),
             head: ["", "mm"].map(String::from).to_vec(),
-            rows: vec![["low", "1.0"].map(String::from).to_vec(), ["middle", "10.0"].map(String::from).to_vec()],
+            rows: vec![
+                ["low", "1.0"].map(String::from).to_vec(),
+                ["middle", "10.0"].map(String::from).to_vec(),
+            ],
             note: "A note.".into(),
         };
         assert_eq!(table.to_string(), "Heights\n            mm\n  low      1.0\n  middle  10.0\n  A note.\n");

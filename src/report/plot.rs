@@ -323,7 +323,8 @@ mod tests {
 
     #[test]
     fn a_violin_is_widest_where_most_numbers_are() {
-        let values: Vec<f64> = (0..100).map(|i| if i < 90 { 1.0 + f64::from(i) * 1e-3 } else { 3.0 }).collect();
+        let values: Vec<f64> =
+            (0..100).map(|i| if i < 90 { 1.0 + f64::from(i) * 1e-3 } else { 3.0 }).collect();
         let widest = density(&values, &(0.0..3.5)).into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
         assert!((widest.0 - 1.045).abs() < 0.05, "{widest:?}");
     }
