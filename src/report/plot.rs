@@ -58,7 +58,7 @@ const COLOURS: [RGBColor; 6] = [
 const DASHES: [[i32; 2]; 4] = [[1, 0], [9, 4], [3, 3], [14, 3]];
 /// Width of a letter in heights of the font, for room in the legend.
 const LETTER: f64 = 0.56;
-const TEXT_PX: i32 = 15;
+const TEXT_PX: i32 = 17;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
