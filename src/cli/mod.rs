@@ -8,6 +8,7 @@ mod info;
 mod progress;
 mod reconstruct;
 mod render;
+mod report;
 mod settings;
 mod simulate;
 mod vessel;
@@ -33,6 +34,7 @@ enum Command {
     Simulate(simulate::Arguments),
     Experiments(experiments::Arguments),
     Render(render::Arguments),
+    Report(report::Arguments),
 }
 
 /// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong.
@@ -46,6 +48,7 @@ pub fn main() -> ExitCode {
         Command::Simulate(arguments) => arguments.run(),
         Command::Experiments(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
+        Command::Report(arguments) => arguments.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

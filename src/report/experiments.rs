@@ -1,7 +1,7 @@
 //! The thesis's tables and figures, beside ours.
 
 use super::page::{Page, Table};
-use super::plot::{Line, Mark, Violin, lines, violins};
+use super::plot::{Line, Mark, Room, Violin, lines, violins};
 use super::render::Style;
 use crate::Result;
 use crate::evaluate;
@@ -81,6 +81,7 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
         mark: Mark::Both,
     };
     let svg = lines(
+        Room::Whole,
         "iteration",
         "error (mm)",
         &[convergence(|i| i.mean_mm, "all nodes"), convergence(|i| i.end_rings_mean_mm, "end rings")],
@@ -95,6 +96,7 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
         mark: Mark::Both,
     };
     let svg = lines(
+        Room::Whole,
         "iteration",
         "median error (mm)",
         &[
@@ -165,7 +167,7 @@ const VIOLIN: &str = "The width shows how common an error is, the bar reaches fr
     the median; the axis ends at the largest 99th percentile.";
 
 fn mm(value: f64) -> String {
-    if value != 0.0 && value < 5e-5 { format!("{value:.1e}") } else { format!("{value:.4}") }
+    if value != 0.0 && value.abs() < 5e-5 { format!("{value:.1e}") } else { format!("{value:.4}") }
 }
 
 fn head<const N: usize>(names: [&str; N]) -> Vec<String> {
@@ -217,7 +219,7 @@ fn primitive_tables(experiments: &Experiments) -> Vec<Table> {
             ),
         ),
         table("Table 2: a frustum, 3 iterations", frustum, 3, &thesis, &note),
-        table("Table 3: the same frustum, 10 iterations", frustum, 10, &thesis, &note),
+        table("Table 3: the same frustum, 10 iterations", frustum, 10, &thesis, "As Table 2."),
     ]
 }
 
@@ -304,7 +306,7 @@ fn both_ways(experiments: &Experiments) -> Table {
                 noise.into(),
                 mm(forth.mean_mm),
                 mm(forth.rms_mm),
-                mm(evaluation.signed_mean_mm).replace("-0.0000", "0.0000"),
+                mm(evaluation.signed_mean_mm),
                 back(|d| d.mean_mm),
                 back(|d| d.p95_mm),
                 format!("{:.1} %", 100.0 * evaluation.covered_area_share),
@@ -329,7 +331,7 @@ fn per_cylinder(series: &Series) -> Result<String> {
         points: numbered(&series.cylinder_error_mm[i]),
         mark: Mark::Line,
     };
-    lines("cylinder", "error (mm)", &[line("original", 0), line("deformed", last)])
+    lines(Room::Half, "cylinder", "error (mm)", &[line("original", 0), line("deformed", last)])
 }
 
 fn growth(series: &Series) -> Result<String> {
@@ -337,6 +339,7 @@ fn growth(series: &Series) -> Result<String> {
         |name: &str, values: &[f64]| Line { name: name.into(), points: numbered(values), mark: Mark::Line };
     let Series { original, deformed, .. } = series;
     lines(
+        Room::Half,
         "cylinders merged",
         "mean error (mm)",
         &[line("original", &original.growth_mean_mm), line("deformed", &deformed.growth_mean_mm)],

@@ -3,7 +3,9 @@
 mod experiments;
 mod page;
 pub mod plot;
+mod reconstruction;
 pub mod render;
 
 pub use experiments::{experiments_page, tables};
 pub use page::Table;
+pub use reconstruction::{Subject, html};

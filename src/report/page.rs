@@ -159,7 +159,7 @@ th:first-child, td:first-child { text-align: left; }
 dt { font-weight: 600; } dd { margin: 0 0 .5rem 1.2rem; max-width: 46rem; }
 .note, figcaption { color: #55555c; font-size: .9rem; margin: .3rem 0 1.2rem; }
 figure { margin: 1rem 0; }
-figure svg, figure img { display: block; width: 100%; height: auto; max-width: 48rem; }
+figure svg, figure img { display: block; width: 100%; height: auto; max-width: 50rem; }
 figure img { max-width: 100%; border: 1px solid #e2e2e2; }
 .pair { display: grid; grid-template-columns: 1fr 1fr; gap: 1.2rem; }
 .pair figure { margin: .6rem 0; }

@@ -38,8 +38,25 @@ pub struct Violin {
     pub values: Vec<f64>,
 }
 
-const WIDTH: u32 = 760;
-const HEIGHT: u32 = 380;
+/// How much room a plot has on its page.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Room {
+    /// The whole width.
+    Whole,
+    /// Half of it, beside another plot.
+    Half,
+}
+
+impl Room {
+    /// Pixels across and down, and marks along x.
+    fn size(self) -> (u32, u32, usize) {
+        match self {
+            Room::Whole => (800, 380, 11),
+            Room::Half => (500, 320, 6),
+        }
+    }
+}
+
 const LEGEND: i32 = 34;
 const LEFT: i32 = 74;
 const BOTTOM: i32 = 58;
@@ -68,7 +85,7 @@ type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
 ///
 /// # Errors
 /// [`Error::Setting`] where no point is finite.
-pub fn lines(x_label: &str, y_label: &str, lines: &[Line]) -> Result<String> {
+pub fn lines(room: Room, x_label: &str, y_label: &str, lines: &[Line]) -> Result<String> {
     let finite = |line: &Line| {
         let points = line.points.iter().filter(|p| p[0].is_finite() && p[1].is_finite());
         points.map(|&[x, y]| (x, y)).collect::<Vec<_>>()
@@ -79,13 +96,21 @@ pub fn lines(x_label: &str, y_label: &str, lines: &[Line]) -> Result<String> {
         return Err(nothing_to_draw());
     };
     let y = from_zero(y);
-    svg(|root| {
+    let (.., most_marks) = room.size();
+    // Whole numbers are counts: no marks between them.
+    let whole = all().all(|p| p.0.fract() == 0.0);
+    let marks = if whole { most_marks.min((x.end - x.start) as usize + 1) } else { most_marks };
+    // A line through many points jumps about: dashes would hide that.
+    let dense = lines.iter().any(|(_, points)| points.len() > 60);
+    let dashes = |i: usize| if dense { DASHES[0] } else { DASHES[i % DASHES.len()] };
+    svg(room, |root| {
         let names: Vec<&str> = lines.iter().map(|(line, _)| line.name.as_str()).collect();
-        let mut chart = axes(root, &names, wider(x, 0.02), y, x_label, y_label, 9)?;
+        let mut chart = axes(root, wider(x, 0.02), y, x_label, y_label, marks, names.len() > 1)?;
+        legend(root, &names, &dashes)?;
         for (i, (line, points)) in lines.iter().enumerate() {
-            let style = colour(i).stroke_width(2);
+            let style = colour(i).stroke_width(if dense { 1 } else { 2 });
             if line.mark != Mark::Dots {
-                match DASHES[i % DASHES.len()] {
+                match dashes(i) {
                     [_, 0] => drop(chart.draw_series(LineSeries::new(points.iter().copied(), style))?),
                     [dash, gap] => drop(chart.draw_series(DashedLineSeries::new(
                         points.iter().copied(),
@@ -124,9 +149,9 @@ pub fn violins(y_label: &str, violins: &[Violin]) -> Result<String> {
     let tops = sorted.iter().map(|values| at_share(values, 0.99));
     let lows = sorted.iter().map(|values| values[0]);
     let y = range(tops.chain(lows)).map_or(0.0..1.0, from_zero);
-    svg(|root| {
+    svg(Room::Whole, |root| {
         let x = 0.0..violins.len() as f64;
-        let mut chart = axes(root, &[], x, y.clone(), "", y_label, 0)?;
+        let mut chart = axes(root, x, y.clone(), "", y_label, 0, false)?;
         for (i, (violin, values)) in violins.iter().zip(&sorted).enumerate() {
             let middle = i as f64 + 0.5;
             let outline = density(values, &y);
@@ -151,10 +176,11 @@ pub fn violins(y_label: &str, violins: &[Violin]) -> Result<String> {
     })
 }
 
-fn svg(draw: impl FnOnce(&Area) -> Drawn) -> Result<String> {
+fn svg(room: Room, draw: impl FnOnce(&Area) -> Drawn) -> Result<String> {
     let mut text = String::new();
+    let (width, height, _) = room.size();
     let drawn = {
-        let root = SVGBackend::with_string(&mut text, (WIDTH, HEIGHT)).into_drawing_area();
+        let root = SVGBackend::with_string(&mut text, (width, height)).into_drawing_area();
         let drawn = root.fill(&WHITE).map_err(Into::into).and_then(|()| draw(&root));
         drawn.and_then(|()| Ok(root.present()?))
     };
@@ -167,26 +193,25 @@ fn svg(draw: impl FnOnce(&Area) -> Drawn) -> Result<String> {
     }
 }
 
-/// The axes, and above them a legend where there is more than one name. `x_labels` 0: no marks along x.
+/// The axes, with room for a legend above them if asked for. `x_marks` 0: no marks along x.
 fn axes<'a, 'b>(
     root: &'a Area<'b>,
-    names: &[&str],
     x: Range<f64>,
     y: Range<f64>,
     x_label: &str,
     y_label: &str,
-    x_labels: usize,
+    x_marks: usize,
+    with_legend: bool,
 ) -> std::result::Result<Chart<'a, 'b>, Box<dyn std::error::Error>> {
-    let legend = if names.len() > 1 { LEGEND } else { 0 };
     let mut chart = ChartBuilder::on(root)
-        .margin_top(12 + legend)
+        .margin_top(if with_legend { 12 + LEGEND } else { 12 })
         .margin_right(22)
         .margin_left(4)
         .margin_bottom(4)
         .x_label_area_size(BOTTOM)
         .y_label_area_size(LEFT)
         .build_cartesian_2d(x.clone(), y.clone())?;
-    let (x_step, y_step) = (step(&x, x_labels), step(&y, 7));
+    let (x_step, y_step) = (step(&x, x_marks), step(&y, 7));
     let x_format = |v: &f64| super::render::label(*v, x_step);
     let y_format = |v: &f64| super::render::label(*v, y_step);
     let text = text_style(HPos::Left, VPos::Top);
@@ -196,32 +221,35 @@ fn axes<'a, 'b>(
         .bold_line_style(GRID)
         .axis_style(INK)
         .y_labels(7)
-        .x_labels(x_labels)
+        .x_labels(x_marks)
         .x_label_formatter(&x_format)
         .y_label_formatter(&y_format)
         .label_style(text.clone())
         .axis_desc_style(text)
         .y_desc(y_label);
-    if x_labels > 0 {
+    if x_marks > 0 {
         mesh.x_desc(x_label);
     }
     mesh.draw()?;
-    if legend > 0 {
-        let mut left = LEFT + 8;
-        for (i, name) in names.iter().enumerate() {
-            let [dash, gap] = DASHES[i % DASHES.len()];
-            let (length, period) = (34, if gap == 0 { 34 } else { dash + gap });
-            for start in (0..length).step_by(period as usize) {
-                let end = if gap == 0 { length } else { (start + dash).min(length) };
-                let ends = vec![(left + start, 22), (left + end, 22)];
-                root.draw(&PathElement::new(ends, colour(i).stroke_width(3)))?;
-            }
-            let style = text_style(HPos::Left, VPos::Center);
-            root.draw(&Text::new((*name).to_owned(), (left + length + 7, 22), style))?;
-            left += length + 30 + (name.chars().count() as f64 * LETTER * f64::from(TEXT_PX)) as i32;
-        }
-    }
     Ok(chart)
+}
+
+/// What each line is, where there is more than one.
+fn legend(root: &Area, names: &[&str], dashes: &dyn Fn(usize) -> [i32; 2]) -> Drawn {
+    const LENGTH: i32 = 34;
+    let mut left = LEFT + 8;
+    for (i, name) in names.iter().enumerate().take(if names.len() > 1 { names.len() } else { 0 }) {
+        let [dash, gap] = dashes(i);
+        let dash = if gap == 0 { LENGTH } else { dash };
+        for start in (0..LENGTH).step_by((dash + gap) as usize) {
+            let ends = vec![(left + start, 22), (left + (start + dash).min(LENGTH), 22)];
+            root.draw(&PathElement::new(ends, colour(i).stroke_width(3)))?;
+        }
+        let style = text_style(HPos::Left, VPos::Center);
+        root.draw(&Text::new((*name).to_owned(), (left + LENGTH + 7, 22), style))?;
+        left += LENGTH + 30 + (name.chars().count() as f64 * LETTER * f64::from(TEXT_PX)) as i32;
+    }
+    Ok(())
 }
 
 fn text_style(h: HPos, v: VPos) -> TextStyle<'static> {
@@ -302,7 +330,7 @@ mod tests {
     #[test]
     fn a_plot_has_its_labels_and_legend() {
         let two = [line("before", &[[0.0, 1.0], [1.0, 0.5]]), line("after", &[[0.0, 0.8], [1.0, 0.1]])];
-        let svg = lines("iteration", "error (mm)", &two).unwrap();
+        let svg = lines(Room::Half, "iteration", "error (mm)", &two).unwrap();
         for text in ["iteration", "error (mm)", "before", "after"] {
             assert!(svg.contains(text), "{text}");
         }
@@ -311,9 +339,9 @@ mod tests {
     #[test]
     fn odd_numbers_draw_or_are_refused() {
         for points in [vec![[0.0, 0.0]], vec![[3.0, 3.0], [3.0, 3.0]], vec![[f64::NAN, 1.0], [1.0, 1e9]]] {
-            assert!(lines("x", "y", &[line("a", &points)]).is_ok(), "{points:?}");
+            assert!(lines(Room::Whole, "x", "y", &[line("a", &points)]).is_ok(), "{points:?}");
         }
-        assert!(lines("x", "y", &[line("a", &[[f64::NAN, 1.0]])]).is_err());
+        assert!(lines(Room::Whole, "x", "y", &[line("a", &[[f64::NAN, 1.0]])]).is_err());
         let violin = |values: &[f64]| violins("y", &[Violin { name: "a".into(), values: values.to_vec() }]);
         for values in [&[0.0][..], &[2.0, 2.0], &[-1.0, f64::INFINITY, 1e-9]] {
             assert!(violin(values).is_ok(), "{values:?}");
