@@ -19,6 +19,7 @@ pub mod recording;
 pub mod report;
 pub mod settings;
 pub mod simulate;
+pub mod study;
 pub mod surface;
 pub mod tube;
 

@@ -1,5 +1,5 @@
 use super::vessel::VesselArguments;
-use super::{print_json, progress};
+use super::{print_json, print_text, progress};
 use crate::experiments::{DEFINITIONS, Plan, run};
 use crate::output::write_atomically;
 use crate::report::{experiments_page, tables};
@@ -80,31 +80,33 @@ impl Arguments {
         if self.json {
             return print_json(&outcome.experiments);
         }
-        let facts = &outcome.experiments.vessel;
-        println!(
-            "vessel     {}: {} triangles, {:.0} mm",
+        let experiments = &outcome.experiments;
+        let facts = &experiments.vessel;
+        let mut text = format!(
+            "vessel     {}: {} triangles, {:.0} mm\n",
             facts.name, facts.triangles, facts.branch_length_mm
         );
         for note in &facts.notes {
-            println!("           {note}");
+            text += &format!("           {note}\n");
         }
-        println!(
-            "recording  {} frames, {} cylinders; seed {}",
-            outcome.experiments.noisy.frames,
-            outcome.experiments.noisy.cylinder_frames.len(),
-            self.seed
+        text += &format!(
+            "recording  {} frames, {} cylinders; seed {}\ntime       {:.1} s\n",
+            experiments.noisy.frames,
+            experiments.noisy.cylinder_frames.len(),
+            self.seed,
+            outcome.seconds.total
         );
-        println!("time       {:.1} s", outcome.seconds.total);
-        for table in tables(&outcome.experiments) {
-            println!("\n{table}");
+        for table in tables(experiments) {
+            text += &format!("\n{table}");
         }
-        println!("{}\n", crate::experiments::thesis::WHAT_DIFFERS);
+        text += &format!("\n{}\n\n", crate::experiments::thesis::WHAT_DIFFERS);
         for (term, meaning) in DEFINITIONS {
-            println!("{term}\n    {meaning}");
+            text += &format!("{term}\n    {meaning}\n");
         }
         for path in written {
-            println!("wrote {}", path.display());
+            text += &format!("wrote {}\n", path.display());
         }
+        print_text(&text);
         Ok(())
     }
 

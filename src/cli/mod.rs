@@ -11,6 +11,7 @@ mod render;
 mod report;
 mod settings;
 mod simulate;
+mod study;
 mod vessel;
 
 use crate::{Error, Result};
@@ -33,6 +34,7 @@ enum Command {
     Demo(demo::Arguments),
     Simulate(simulate::Arguments),
     Experiments(experiments::Arguments),
+    Study(study::Arguments),
     Render(render::Arguments),
     Report(report::Arguments),
 }
@@ -47,6 +49,7 @@ pub fn main() -> ExitCode {
         Command::Demo(arguments) => arguments.run(),
         Command::Simulate(arguments) => arguments.run(),
         Command::Experiments(arguments) => arguments.run(),
+        Command::Study(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
         Command::Report(arguments) => arguments.run(),
     };
@@ -66,4 +69,9 @@ fn print_json(value: &impl serde::Serialize) -> Result<()> {
         .map_err(std::io::Error::from)
         .and_then(|()| std::io::Write::write_all(&mut out, b"\n"))
         .map_err(|source| Error::Write { path: "stdout".into(), source })
+}
+
+/// Prints text on stdout. A reader that has seen enough, such as `head`, closes the pipe.
+fn print_text(text: &str) {
+    let _closed = std::io::Write::write_all(&mut std::io::stdout().lock(), text.as_bytes());
 }

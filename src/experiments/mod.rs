@@ -11,8 +11,9 @@ pub use primitive::{Convergence, Iteration, frustum, larger_cylinder};
 pub use series::{Merged, Series, Spread};
 
 use crate::Result;
-use crate::evaluate::Truth;
+use crate::evaluate::{Coverage, Truth};
 use crate::fit::{engine, merged_frames};
+use crate::geometry::Pose;
 use crate::recording::Recording;
 use crate::settings::{Backend, Settings};
 use crate::simulate::{self, Insertion, Noise, Probe, Simulation, Vessel};
@@ -167,6 +168,9 @@ pub fn run(
     let frustum = frustum(&plan.settings, 10)?;
     let simulated =
         Simulation::run_and_tell(vessel, &simulation, &|done, all| tell("simulating", done, all))?;
+    // What the probe saw is the same with noise and without.
+    let coverage =
+        Coverage::of(&simulated.truth_recording, Pose::IDENTITY, truth.surface(), Coverage::WITHIN_MM)?;
     let simulate_seconds = start.elapsed().as_secs_f64();
 
     let engine = engine(&plan.settings)?;
@@ -175,7 +179,8 @@ pub fn run(
         let all = merged_frames(simulated.recording.frames.len(), &plan.settings).len();
         let done = std::sync::atomic::AtomicUsize::new(0);
         let progress = |n| tell(stage, done.fetch_add(n, std::sync::atomic::Ordering::Relaxed) + n, all);
-        let (series, mesh) = Series::measure(recording, &truth, &plan.settings, &*engine, &progress)?;
+        let (series, mesh) =
+            Series::measure(recording, (&truth, &coverage), &plan.settings, &*engine, &progress)?;
         Ok((series, mesh, start.elapsed().as_secs_f64()))
     };
     let (noiseless, noiseless_mesh, noiseless_seconds) =

@@ -1,7 +1,7 @@
 //! Tables 4 to 7 and the figures that go with them: one recording, its cylinders one by one and merged.
 
 use crate::Result;
-use crate::evaluate::{Evaluation, Locator, Truth, evaluate};
+use crate::evaluate::{Coverage, Evaluation, Locator, Truth, evaluate_covered};
 use crate::fit::{Engine, FittedCylinder};
 use crate::merge::Stitched;
 use crate::reconstruction::{PointCounts, Reconstruction};
@@ -103,10 +103,10 @@ impl Series {
     /// `signed_error_mm`.
     ///
     /// # Errors
-    /// As [`Reconstruction::new`] and [`evaluate`].
+    /// As [`Reconstruction::new`] and [`evaluate_covered`].
     pub fn measure(
         recording: &Recording,
-        truth: &Truth,
+        (truth, coverage): (&Truth, &Coverage),
         settings: &Settings,
         engine: &dyn Engine,
         progress: &(dyn Fn(usize) + Sync),
@@ -118,9 +118,9 @@ impl Series {
             .collect();
         let cylinder_error_mm: Vec<Vec<f64>> =
             node_errors.iter().map(|cylinders| cylinders.iter().map(|c| mean(c)).collect()).collect();
-        let (original, _) = Merged::measure(cylinders, 0, &node_errors[0], truth)?;
+        let (original, _) = Merged::measure(cylinders, 0, &node_errors[0], (truth, coverage))?;
         let last = node_errors.len() - 1;
-        let (deformed, mesh) = Merged::measure(cylinders, last, &node_errors[last], truth)?;
+        let (deformed, mesh) = Merged::measure(cylinders, last, &node_errors[last], (truth, coverage))?;
         let series = Self {
             frames: reconstruction.report.frames,
             points: reconstruction.report.points,
@@ -150,7 +150,7 @@ impl Merged {
         cylinders: &[FittedCylinder],
         iteration: usize,
         errors_mm: &[Vec<f64>],
-        truth: &Truth,
+        (truth, coverage): (&Truth, &Coverage),
     ) -> Result<(Self, Surface)> {
         let mut vessel = Stitched::default();
         // Of each ring of the vessel: its first node, by which it is known again, and the mean error of its nodes.
@@ -166,7 +166,7 @@ impl Merged {
             growth_mean_mm.push(known.iter().map(|(_, error)| error).sum::<f64>() / known.len() as f64);
         }
         let mut mesh = vessel.surface();
-        let evaluation = evaluate(&mesh, truth)?;
+        let evaluation = evaluate_covered(&mesh, truth, coverage)?;
         evaluation.colour(&mut mesh);
         let merged = Self {
             rings: vessel.rings.len(),

@@ -5,7 +5,9 @@ mod page;
 pub mod plot;
 mod reconstruction;
 pub mod render;
+mod study;
 
 pub use experiments::{experiments_page, tables};
 pub use page::Table;
 pub use reconstruction::{Subject, html};
+pub use study::study_plot;

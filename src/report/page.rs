@@ -98,9 +98,12 @@ impl Page {
 
     /// A plot: SVG text, and what it shows.
     pub fn plot(&mut self, svg: &str, caption: &str) -> &mut Self {
-        // Its size is the page's to set.
-        let svg =
-            svg.trim_start_matches(|c| c != '<').replacen("<svg width=\"760\" height=\"380\"", "<svg", 1);
+        // Narrower where the page is, but never larger than it was drawn.
+        let width = svg.split('"').nth(1).unwrap_or_default();
+        let svg = svg.split_once(" viewBox").map_or_else(
+            || svg.into(),
+            |(_, rest)| format!("<svg style=\"max-width: {width}px\" viewBox{rest}"),
+        );
         self.figure(&svg, caption)
     }
 
@@ -159,8 +162,8 @@ th:first-child, td:first-child { text-align: left; }
 dt { font-weight: 600; } dd { margin: 0 0 .5rem 1.2rem; max-width: 46rem; }
 .note, figcaption { color: #55555c; font-size: .9rem; margin: .3rem 0 1.2rem; }
 figure { margin: 1rem 0; }
-figure svg, figure img { display: block; width: 100%; height: auto; max-width: 50rem; }
-figure img { max-width: 100%; border: 1px solid #e2e2e2; }
+figure svg, figure img { display: block; width: 100%; height: auto; }
+figure img { border: 1px solid #e2e2e2; }
 .pair { display: grid; grid-template-columns: 1fr 1fr; gap: 1.2rem; }
 .pair figure { margin: .6rem 0; }
 pre { background: #f6f6f4; padding: .7rem 1rem; overflow-x: auto; font-size: .85rem; line-height: 1.4; white-space: pre-wrap; }

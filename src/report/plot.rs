@@ -2,6 +2,7 @@
 //! colours that colour-blind readers can tell apart (Okabe and Ito, 2008), each with a dash of its own for print.
 
 use crate::{Error, Result};
+use plotters::coord::ranged1d::BoldPoints;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -76,6 +77,7 @@ const DASHES: [[i32; 2]; 4] = [[1, 0], [9, 4], [3, 3], [14, 3]];
 /// Width of a letter in heights of the font, for room in the legend.
 const LETTER: f64 = 0.56;
 const TEXT_PX: i32 = 17;
+const Y_MARKS: usize = 7;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
@@ -154,9 +156,10 @@ pub fn violins(y_label: &str, violins: &[Violin]) -> Result<String> {
         let mut chart = axes(root, x, y.clone(), "", y_label, 0, false)?;
         for (i, (violin, values)) in violins.iter().zip(&sorted).enumerate() {
             let middle = i as f64 + 0.5;
+            let half = (0.14 * violins.len() as f64).min(0.42);
             let outline = density(values, &y);
-            let left = outline.iter().map(|&(v, width)| (middle - 0.42 * width, v));
-            let right = outline.iter().rev().map(|&(v, width)| (middle + 0.42 * width, v));
+            let left = outline.iter().map(|&(v, width)| (middle - half * width, v));
+            let right = outline.iter().rev().map(|&(v, width)| (middle + half * width, v));
             let outline: Vec<(f64, f64)> = left.chain(right).collect();
             chart.draw_series([Polygon::new(outline.clone(), colour(i).mix(0.35).filled())])?;
             let closed = outline.iter().chain(outline.first()).copied().collect::<Vec<_>>();
@@ -211,7 +214,7 @@ fn axes<'a, 'b>(
         .x_label_area_size(BOTTOM)
         .y_label_area_size(LEFT)
         .build_cartesian_2d(x.clone(), y.clone())?;
-    let (x_step, y_step) = (step(&x, x_marks), step(&y, 7));
+    let (x_step, y_step) = (step(&x, x_marks), step(&y, Y_MARKS));
     let x_format = |v: &f64| super::render::label(*v, x_step);
     let y_format = |v: &f64| super::render::label(*v, y_step);
     let text = text_style(HPos::Left, VPos::Top);
@@ -220,7 +223,7 @@ fn axes<'a, 'b>(
         .light_line_style(TRANSPARENT)
         .bold_line_style(GRID)
         .axis_style(INK)
-        .y_labels(7)
+        .y_labels(Y_MARKS)
         .x_labels(x_marks)
         .x_label_formatter(&x_format)
         .y_label_formatter(&y_format)
@@ -260,11 +263,10 @@ fn colour(i: usize) -> RGBColor {
     COLOURS[i % COLOURS.len()]
 }
 
-/// The distance between marks of an axis with at most so many labels, as `plotters` sets them: 1, 2 or 5 times a
-/// power of ten.
-fn step(range: &Range<f64>, labels: usize) -> f64 {
-    let least = (range.end - range.start) / labels.max(1) as f64;
-    super::render::round_down(least)
+/// The distance between the marks that `plotters` sets on an axis.
+fn step(range: &Range<f64>, most: usize) -> f64 {
+    let marks = RangedCoordf64::from(range.clone()).key_points(BoldPoints(most));
+    marks.windows(2).map(|pair| pair[1] - pair[0]).next().unwrap_or(range.end - range.start)
 }
 
 fn range(values: impl Iterator<Item = f64>) -> Option<Range<f64>> {

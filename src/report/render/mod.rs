@@ -14,8 +14,8 @@ use crate::surface::Surface;
 use crate::{Error, Result, output};
 use canvas::{Canvas, Colour, Sheet};
 use glam::{DVec2, DVec3};
-use scale::ticks;
-pub(super) use scale::{label, round_down};
+pub(super) use scale::label;
+use scale::{round_down, ticks};
 use std::path::Path;
 
 /// From where a mesh is looked at.

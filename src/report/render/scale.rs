@@ -1,7 +1,7 @@
 //! Round numbers for axes and bars.
 
 /// The largest of 1, 2 and 5 times a power of ten that is not above a positive value.
-pub(in crate::report) fn round_down(value: f64) -> f64 {
+pub(super) fn round_down(value: f64) -> f64 {
     let power = 10_f64.powf(value.log10().floor());
     // A value that rounding has left a hair under a round number counts as that number.
     let digit = value / power * (1.0 + 1e-9);
