@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh simulate -o recording/
-  lumenmesh simulate --vessel cylinder --noise none --steady -o pullback.mat --truth wall.vtp
+  lumenmesh simulate --vessel small_arch --truth wall.vtp --truth-centreline middle.csv -o pullback.mat
+  lumenmesh simulate --vessel cylinder --noise none --steady -o pullback.mat
   lumenmesh simulate --vessel aorta.stl --centreline aorta_centreline.csv --branch 1 -o recording/
   lumenmesh simulate --config simulation.toml --seed 7 -o recording/ --truth-recording truth/
   lumenmesh simulate --tracker-noise static_sensor.csv --sensor Reference -o recording/
@@ -42,6 +43,9 @@ pub(super) struct Arguments {
     /// Also write the wall: .vtp, .ply, .stl or .obj
     #[arg(long, value_name = "MESH")]
     truth: Option<PathBuf>,
+    /// Also write the centrelines of its branches: CSV
+    #[arg(long, value_name = "CSV")]
+    truth_centreline: Option<PathBuf>,
     /// Also write the recording without any noise
     #[arg(long, value_name = "REC")]
     truth_recording: Option<PathBuf>,
@@ -153,6 +157,7 @@ struct Summary<'a> {
     tracker: &'a Option<TrackerNoise>,
     settings: &'a Settings,
     truth: &'a Option<PathBuf>,
+    truth_centreline: &'a Option<PathBuf>,
     truth_recording: &'a Option<PathBuf>,
 }
 
@@ -183,6 +188,9 @@ impl Arguments {
         if let Some(path) = &self.truth {
             simulation.vessel.surface().write(path)?;
         }
+        if let Some(path) = &self.truth_centreline {
+            Centreline::write_branches(simulation.vessel.branches(), path)?;
+        }
         if let Some(path) = &self.truth_recording {
             simulation.truth_recording.write(path)?;
         }
@@ -208,6 +216,7 @@ impl Arguments {
             tracker: &tracker,
             settings: &settings,
             truth: &self.truth,
+            truth_centreline: &self.truth_centreline,
             truth_recording: &self.truth_recording,
         };
         if self.json {
@@ -315,6 +324,9 @@ impl Summary<'_> {
         println!("recording  {}", self.recording.display());
         if let Some(path) = self.truth {
             println!("truth      {}", path.display());
+        }
+        if let Some(path) = self.truth_centreline {
+            println!("centreline {}", path.display());
         }
         if let Some(path) = self.truth_recording {
             println!("truth      {}", path.display());
