@@ -1,7 +1,7 @@
 //! The experiments of the thesis (chapters 4 and 5) on a vessel that is known exactly.
 //!
-//! One simulated insertion gives two recordings, with noise and without; both are reconstructed and measured against
-//! the wall. [`Experiments`] holds every number that the report shows; [`DEFINITIONS`] says what they are.
+//! One simulated insertion gives two recordings, with noise and without, and a second one without bending the tip a
+//! third; each is reconstructed and measured against the wall. [`Experiments`] holds every number that the report shows; [`DEFINITIONS`] says what they are.
 
 mod primitive;
 mod series;
@@ -91,6 +91,8 @@ pub struct Experiments {
     pub noiseless: Series,
     /// The recording with noise.
     pub noisy: Series,
+    /// A recording with the same noise along the same way, but the tip is never bent.
+    pub noisy_steady: Series,
     /// The thesis's numbers, as far as they are at hand.
     pub thesis: Thesis,
 }
@@ -141,6 +143,8 @@ pub struct Seconds {
     pub noiseless: f64,
     /// Reconstructing and measuring the noisy one.
     pub noisy: f64,
+    /// Simulating, reconstructing and measuring the noisy one whose tip is never bent.
+    pub noisy_steady: f64,
     /// Everything.
     pub total: f64,
 }
@@ -168,24 +172,31 @@ pub fn run(
     let frustum = frustum(&plan.settings, 10)?;
     let simulated =
         Simulation::run_and_tell(vessel, &simulation, &|done, all| tell("simulating", done, all))?;
-    // What the probe saw is the same with noise and without.
-    let coverage =
-        Coverage::of(&simulated.truth_recording, Pose::IDENTITY, truth.surface(), Coverage::WITHIN_MM)?;
+    let coverage = coverage_of(&simulated, &truth)?;
     let simulate_seconds = start.elapsed().as_secs_f64();
 
     let engine = engine(&plan.settings)?;
-    let measure = |stage, recording: &Recording| -> Result<(Series, Surface, f64)> {
+    let measure = |stage, recording: &Recording, coverage: &Coverage| -> Result<(Series, Surface, f64)> {
         let start = Instant::now();
-        let all = merged_frames(simulated.recording.frames.len(), &plan.settings).len();
+        let all = merged_frames(recording.frames.len(), &plan.settings).len();
         let done = std::sync::atomic::AtomicUsize::new(0);
         let progress = |n| tell(stage, done.fetch_add(n, std::sync::atomic::Ordering::Relaxed) + n, all);
         let (series, mesh) =
-            Series::measure(recording, (&truth, &coverage), &plan.settings, &*engine, &progress)?;
+            Series::measure(recording, (&truth, coverage), &plan.settings, &*engine, &progress)?;
         Ok((series, mesh, start.elapsed().as_secs_f64()))
     };
     let (noiseless, noiseless_mesh, noiseless_seconds) =
-        measure("without noise", &simulated.truth_recording)?;
-    let (noisy, noisy_mesh, noisy_seconds) = measure("with noise", &simulated.recording)?;
+        measure("without noise", &simulated.truth_recording, &coverage)?;
+    let (noisy, noisy_mesh, noisy_seconds) = measure("with noise", &simulated.recording, &coverage)?;
+
+    let steady_start = Instant::now();
+    let insertion =
+        Insertion { moves: Insertion::steady().moves, repeat: true, ..simulation.insertion.clone() };
+    let steady_settings = simulate::Settings { insertion, ..simulation.clone() };
+    let steady = Simulation::run(simulated.vessel.clone(), &steady_settings)?;
+    let coverage = coverage_of(&steady, &truth)?;
+    let (noisy_steady, ..) = measure("with noise, never bent", &steady.recording, &coverage)?;
+    let steady_seconds = steady_start.elapsed().as_secs_f64();
     let experiments = Experiments {
         version: env!("CARGO_PKG_VERSION"),
         vessel: VesselFacts {
@@ -201,6 +212,7 @@ pub fn run(
         frustum,
         noiseless,
         noisy,
+        noisy_steady,
         thesis: Thesis {
             table_4_median_mm: thesis::TABLE_4_MEDIAN_MM,
             frustum_mean_mm_after_3: thesis::FRUSTUM_MEAN_MM_AFTER_3,
@@ -210,7 +222,13 @@ pub fn run(
         simulate: simulate_seconds,
         noiseless: noiseless_seconds,
         noisy: noisy_seconds,
+        noisy_steady: steady_seconds,
         total: start.elapsed().as_secs_f64(),
     };
     Ok(Outcome { experiments, noiseless_mesh, noisy_mesh, seconds })
+}
+
+/// What the probe saw, which is the same with noise and without.
+fn coverage_of(simulation: &Simulation, truth: &Truth) -> Result<Coverage> {
+    Coverage::of(&simulation.truth_recording, Pose::IDENTITY, truth.surface(), Coverage::WITHIN_MM)
 }

@@ -7,6 +7,6 @@ pub const TABLE_4_MEDIAN_MM: [f64; 4] = [0.650, 0.477, 0.465, 0.472];
 pub const FRUSTUM_MEAN_MM_AFTER_3: f64 = 0.0751;
 
 /// Why ours differ from these.
-pub const WHAT_DIFFERS: &str = "The thesis measured in vessels segmented from patients; these are not public, so its \
-    numbers come from other vessels, another insertion and other noise than ours. Compare the course of a row, not its \
-    digits.";
+pub const WHAT_DIFFERS: &str = "The thesis's vessels come from patients and are not public: ours are others. Insertion and \
+    noise follow its description, with our choice of what it leaves open, and the local cylinders come from another \
+    estimator. Compare the course of a row, not its digits.";

@@ -106,9 +106,10 @@ pub fn lines(room: Room, x_label: &str, y_label: &str, lines: &[Line]) -> Result
     let dense = lines.iter().any(|(_, points)| points.len() > 60);
     let dashes = |i: usize| if dense { DASHES[0] } else { DASHES[i % DASHES.len()] };
     svg(room, |root| {
-        let names: Vec<&str> = lines.iter().map(|(line, _)| line.name.as_str()).collect();
-        let mut chart = axes(root, wider(x, 0.02), y, x_label, y_label, marks, names.len() > 1)?;
-        legend(root, &names, &dashes)?;
+        let mut chart = axes(root, wider(x, 0.02), y, x_label, y_label, marks, lines.len() > 1)?;
+        if lines.len() > 1 {
+            legend(root, lines.iter().map(|(line, _)| *line), &dashes)?;
+        }
         for (i, (line, points)) in lines.iter().enumerate() {
             let style = colour(i).stroke_width(if dense { 1 } else { 2 });
             if line.mark != Mark::Dots {
@@ -237,20 +238,30 @@ fn axes<'a, 'b>(
     Ok(chart)
 }
 
-/// What each line is, where there is more than one.
-fn legend(root: &Area, names: &[&str], dashes: &dyn Fn(usize) -> [i32; 2]) -> Drawn {
+/// What each line is.
+fn legend<'a>(
+    root: &Area,
+    lines: impl Iterator<Item = &'a Line>,
+    dashes: &dyn Fn(usize) -> [i32; 2],
+) -> Drawn {
     const LENGTH: i32 = 34;
+    const Y: i32 = 22;
     let mut left = LEFT + 8;
-    for (i, name) in names.iter().enumerate().take(if names.len() > 1 { names.len() } else { 0 }) {
+    for (i, line) in lines.enumerate() {
         let [dash, gap] = dashes(i);
         let dash = if gap == 0 { LENGTH } else { dash };
-        for start in (0..LENGTH).step_by((dash + gap) as usize) {
-            let ends = vec![(left + start, 22), (left + (start + dash).min(LENGTH), 22)];
-            root.draw(&PathElement::new(ends, colour(i).stroke_width(3)))?;
+        if line.mark != Mark::Dots {
+            for start in (0..LENGTH).step_by((dash + gap) as usize) {
+                let ends = vec![(left + start, Y), (left + (start + dash).min(LENGTH), Y)];
+                root.draw(&PathElement::new(ends, colour(i).stroke_width(3)))?;
+            }
+        }
+        if line.mark != Mark::Line {
+            root.draw(&Circle::new((left + LENGTH / 2, Y), 4, colour(i).filled()))?;
         }
         let style = text_style(HPos::Left, VPos::Center);
-        root.draw(&Text::new((*name).to_owned(), (left + LENGTH + 7, 22), style))?;
-        left += LENGTH + 30 + (name.chars().count() as f64 * LETTER * f64::from(TEXT_PX)) as i32;
+        root.draw(&Text::new(line.name.clone(), (left + LENGTH + 7, Y), style))?;
+        left += LENGTH + 30 + (line.name.chars().count() as f64 * LETTER * f64::from(TEXT_PX)) as i32;
     }
     Ok(())
 }

@@ -105,8 +105,8 @@ fn summary(page: &mut Page, subject: &Subject) {
         rows.push(("fitting error (mean, mm)", format!("{:.3}", evaluation.mesh_to_truth.mean_mm)));
     }
     let cylinders = match report.estimated_cylinders {
-        0 => format!("{}, their models from the recording", report.cylinders),
-        n => format!("{}, {n} models estimated from the contours", report.cylinders),
+        0 => format!("{}, as the recording places them", report.cylinders),
+        _ => format!("{}, placed by the contours", report.cylinders),
     };
     let engine = match &report.engine.adapter {
         Some(adapter) => format!("{} on {adapter}", report.engine.name),
