@@ -42,6 +42,8 @@ pub(super) struct Arguments {
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         let (name, vessel) = self.vessel.vessel(None)?;
+        // Where the file lies is no part of the results.
+        let name = Path::new(&name).file_name().map_or_else(|| name.clone(), |n| n.to_string_lossy().into());
         let mut plan = Plan::new(name, self.seed);
         plan.simulation.insertion.branch = self.branch;
         let plan = if self.quick { plan.quick() } else { plan };

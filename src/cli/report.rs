@@ -60,8 +60,12 @@ impl Arguments {
                 evaluate_covered(&reconstruction.vessel.surface(), truth, &coverage)
             })
             .transpose()?;
+        let name = self
+            .recording
+            .file_name()
+            .map_or_else(|| self.recording.display().to_string(), |name| name.to_string_lossy().into_owned());
         let page = html(&Subject {
-            title: &format!("Reconstruction of {}", self.recording.display()),
+            title: &format!("Reconstruction of {name}"),
             recording: &recording,
             settings: &settings,
             reconstruction: &reconstruction,

@@ -158,7 +158,7 @@ table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .
 caption { text-align: left; font-weight: 600; padding-bottom: .3rem; }
 th, td { padding: .2rem .9rem .2rem 0; text-align: right; border-bottom: 1px solid #e2e2e2; vertical-align: top; }
 th { font-weight: 600; border-bottom-color: #888; }
-th:first-child, td:first-child { text-align: left; }
+th:first-child, td:first-child { text-align: left; white-space: nowrap; }
 dt { font-weight: 600; } dd { margin: 0 0 .5rem 1.2rem; max-width: 46rem; }
 .note, figcaption { color: #55555c; font-size: .9rem; margin: .3rem 0 1.2rem; }
 figure { margin: 1rem 0; }
@@ -169,7 +169,8 @@ figure img { border: 1px solid #e2e2e2; }
 pre { background: #f6f6f4; padding: .7rem 1rem; overflow-x: auto; font-size: .85rem; line-height: 1.4; white-space: pre-wrap; }
 footer { color: #55555c; font-size: .85rem; margin: 2.5rem 0 1rem; border-top: 1px solid #ccc; padding-top: .5rem; }
 @media print {
-  body { margin: 0; max-width: none; font-size: 10.5pt; }
+  body { margin: 0; max-width: none; font-size: 10pt; }
+  th, td { padding-right: .6rem; }
   figure, .block, pre { break-inside: avoid; }
   h2 { break-after: avoid; }
 }
