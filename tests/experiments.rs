@@ -1,5 +1,6 @@
 //! The thesis's experiments, the study and the pages that show them.
 #![cfg(feature = "cli")]
+#![expect(clippy::unwrap_used, reason = "a test may fail")]
 
 #[expect(dead_code, reason = "other test files use the rest")]
 mod support;
