@@ -188,6 +188,18 @@ fn a_reconstruction_fills_a_page_with_and_without_its_truth() {
             assert!(page.contains(&format!("<h2>{part}</h2>")), "{part}");
         }
     }
+    let settings = Settings { iterations: 0, ..Settings::default() };
+    let reconstruction =
+        Reconstruction::new(&simulation.recording, &settings, &*engine, false, &|_| ()).unwrap();
+    let unfitted = html(&Subject {
+        title: "Cylinders as they are",
+        recording: &simulation.recording,
+        settings: &settings,
+        reconstruction: &reconstruction,
+        measured: None,
+        command: "lumenmesh report --iterations 0",
+    });
+    assert!(unfitted.unwrap().contains("nothing was fitted"));
     assert!(with.contains("<h2>Error</h2>") && without.contains("<h2>Residual</h2>"));
 }
 

@@ -53,7 +53,7 @@ pub fn html(subject: &Subject) -> Result<String> {
             )?;
             page.plot(&svg, &format!("Distances of the mesh's nodes to the truth. {VIOLIN}"));
             evaluation.colour(&mut mesh);
-            "error_mm"
+            Some("error_mm")
         }
         None => {
             page.heading("Residual");
@@ -61,15 +61,24 @@ pub fn html(subject: &Subject) -> Result<String> {
                 "The truth is not known. The residual of a node is the mean distance of the points about it.",
             );
             let values = mesh.array("residual_mm").unwrap_or_default().to_vec();
-            let svg = violins("residual (mm)", &[Violin { name: "nodes with points".into(), values }])?;
-            page.plot(&svg, &format!("Residuals of the mesh's nodes. {VIOLIN}"));
-            "residual_mm"
+            if values.iter().any(|v| v.is_finite()) {
+                let svg = violins("residual (mm)", &[Violin { name: "nodes with points".into(), values }])?;
+                page.plot(&svg, &format!("Residuals of the mesh's nodes. {VIOLIN}"));
+                Some("residual_mm")
+            } else {
+                page.paragraph("No node has one: nothing was fitted.");
+                None
+            }
         }
     };
     page.heading("Vessel");
-    let style = Style { array: Some(array.into()), ..Style::default() };
-    let caption =
-        "The vessel from three sides; the colours end at 10 times the mean or at the largest value.";
+    let style = Style { array: array.map(String::from), ..Style::default() };
+    let caption = match array {
+        Some(_) => {
+            "The vessel from three sides; the colours end at 10 times the mean or at the largest value."
+        }
+        None => "The vessel from three sides.",
+    };
     page.mesh(&mesh, &style, caption)?;
 
     coverage(&mut page, subject)?;
