@@ -9,6 +9,7 @@ pub mod cli;
 pub mod cylinder;
 mod error;
 pub mod evaluate;
+pub mod experiments;
 pub mod fit;
 pub mod geometry;
 pub mod merge;
@@ -19,6 +20,7 @@ pub mod recording;
 pub mod report;
 pub mod settings;
 pub mod simulate;
+pub mod study;
 pub mod surface;
 pub mod tube;
 
