@@ -8,7 +8,7 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh render vessel.vtp -o vessel.png
-  lumenmesh render vessel.vtp -o error.png --array distance_mm --range 0,2 --view front
+  lumenmesh render error.vtp -o error.png --array error_mm --range 0,2 --view front
   lumenmesh render vessel.ply -o small.png --array residual_mm --size 800x600")]
 pub(super) struct Arguments {
     /// Mesh: .vtp, .ply, .stl or .obj
