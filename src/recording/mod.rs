@@ -166,8 +166,8 @@ impl Frame {
     }
 
     /// What makes the frame useless, at most one defect per quantity: a pose that is not finite or no rotation, a
-    /// time that is not finite, a contour point that is half there, a cylinder that is not finite or has no
-    /// positive radius.
+    /// time that is not finite, a contour point that is half there, a cylinder that is not finite or whose
+    /// radius is not positive or beyond any vessel's.
     pub fn defects(&self) -> Vec<Defect> {
         let position = self.world_from_sensor.translation_mm;
         let mut defects = Vec::new();
@@ -190,8 +190,8 @@ impl Frame {
         if let Some(c) = &self.cylinder {
             if !c.is_finite() {
                 add("cylinder", format!("{c:?}"), "five finite numbers");
-            } else if c.radius_mm <= 0.0 {
-                add("cylinder radius", format!("{} mm", c.radius_mm), "more than 0 mm");
+            } else if !(0.0 < c.radius_mm && c.radius_mm <= MOST_RADIUS_MM) {
+                add("cylinder radius", format!("{:?} mm", c.radius_mm), "more than 0 and at most 10000 mm");
             }
         }
         defects
@@ -226,6 +226,9 @@ impl Frame {
         }
     }
 }
+
+/// Beyond any vessel, and far enough within f32 that squares of lengths are too.
+const MOST_RADIUS_MM: f64 = 10_000.0;
 
 /// Largest element of |RᵀR − I| that rounding in a tracker's output explains.
 const ROTATION_TOLERANCE: f64 = 1e-3;
