@@ -38,7 +38,8 @@ impl Arguments {
         check_ending(&self.output)?;
         let surface = Surface::read(&self.mesh)?;
         let style = Style { array: self.array, range: self.range, view: self.view, size: self.size };
-        render(&surface, &style)?.write(&self.output)?;
+        let picture = render(&surface, &style).map_err(|e| e.in_file(&self.mesh))?;
+        picture.write(&self.output)?;
         if self.json {
             return print_json(&serde_json::json!({
                 "mesh": self.mesh,
