@@ -44,18 +44,28 @@ impl Frame {
 
     /// Centroid of the area inside the contour, mm in the probe's plane: a polygon through the echoes in ray
     /// order, straight across missing ones. `None` where there is no area.
+    ///
+    /// Noise as large as the lumen makes a polygon that crosses itself: areas of both signs cancel, and what the
+    /// formula gives can lie anywhere. Outside the echoes' bounding box their mean stands in.
     pub fn centroid_mm(&self) -> Option<DVec2> {
         let origin = self.echoes_mm().next()?;
         // Taken about one of the points, so that a contour far from the origin loses no digits.
         let points = || self.echoes_mm().map(move |p| p - origin);
         let (mut twice_area, mut moment, mut extent) = (0.0, DVec2::ZERO, 0.0_f64);
+        let (mut low, mut high, mut sum) = (DVec2::ZERO, DVec2::ZERO, DVec2::ZERO);
         for (a, b) in points().zip(points().skip(1).chain([DVec2::ZERO])) {
             let cross = a.perp_dot(b);
             twice_area += cross;
             moment += (a + b) * cross;
             extent = extent.max(a.length_squared());
+            (low, high, sum) = (low.min(a), high.max(a), sum + a);
         }
-        (twice_area.abs() > 1e-9 * extent).then(|| origin + moment / (3.0 * twice_area))
+        if twice_area.abs() <= 1e-9 * extent {
+            return None;
+        }
+        let centroid = moment / (3.0 * twice_area);
+        let within = low.cmple(centroid).all() && centroid.cmple(high).all();
+        Some(origin + if within { centroid } else { sum / points().count() as f64 })
     }
 }
 
