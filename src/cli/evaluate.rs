@@ -48,8 +48,8 @@ impl Arguments {
             can_carry_arrays(out)?;
         }
         let mut mesh = Surface::read(&self.mesh)?;
-        let truth = Truth::new(Surface::read(&self.truth)?).map_err(|e| e.in_file(&self.truth))?;
-        let evaluation = evaluate(&mesh, &truth).map_err(|e| e.in_file(&self.mesh))?;
+        let truth = Truth::new(Surface::read(&self.truth)?).map_err(|e| in_file(e, &self.truth))?;
+        let evaluation = evaluate(&mesh, &truth).map_err(|e| in_file(e, &self.mesh))?;
         if let Some(out) = &self.out {
             evaluation.colour(&mut mesh);
             mesh.write(out)?;
@@ -112,5 +112,12 @@ fn can_carry_arrays(out: &Path) -> Result<()> {
             ending: ending.into(),
             expected: ".vtp, .ply (which carry node arrays)",
         }),
+    }
+}
+
+fn in_file(error: Error, path: &Path) -> Error {
+    match error {
+        Error::Surface { what, found, expected } => Error::input(path, what, found, expected),
+        other => other,
     }
 }
