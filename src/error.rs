@@ -111,8 +111,8 @@ impl Error {
         }
     }
 
-    /// Says which file a frame's error came from: turns [`Error::Frame`] into [`Error::Input`] and leaves
-    /// every other error as it is.
+    /// Says which file a frame's or a surface's error came from: turns [`Error::Frame`] and [`Error::Surface`]
+    /// into [`Error::Input`] and leaves every other error as it is.
     #[must_use]
     pub fn in_file(self, path: &Path) -> Self {
         match self {
@@ -123,6 +123,7 @@ impl Error {
                 found,
                 expected,
             },
+            Error::Surface { what, found, expected } => Error::input(path, what, found, expected),
             other => other,
         }
     }

@@ -17,6 +17,8 @@ pub fn write_atomically(
             Some(parent) if !parent.as_os_str().is_empty() => parent,
             _ => Path::new("."),
         };
+        // Otherwise the message would name the temporary file, by another name at every run.
+        std::fs::metadata(folder)?;
         let mut file = tempfile::Builder::new().prefix(".lumenmesh-").suffix(".tmp").tempfile_in(folder)?;
         let mut buffered = BufWriter::with_capacity(1 << 16, file.as_file_mut());
         content(&mut buffered)?;
@@ -62,5 +64,16 @@ mod tests {
         assert!(failed.unwrap_err().to_string().contains("mesh.obj: cannot write: disk on fire"));
         assert_eq!(std::fs::read(&path).unwrap(), b"old");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_missing_folder_is_said_in_the_same_words_every_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("nowhere/mesh.obj");
+        let message = write_atomically(&path, |_| Ok(())).unwrap_err().to_string();
+        assert!(
+            message.contains("mesh.obj: cannot write: ") && !message.contains(".lumenmesh-"),
+            "{message}"
+        );
     }
 }

@@ -63,7 +63,7 @@ pub enum Statistic {
 
 /// `eTi`, the probe in the tracker sensor's frame: a constant of the catheter (thesis, Eq. 11).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct Calibration {
     /// Origin of the probe in the sensor's frame, mm.
     pub position_mm: [f64; 3],
@@ -96,18 +96,19 @@ pub struct Settings {
     pub method: Method,
     /// Where it is computed.
     pub backend: Backend,
-    /// Name, or a part of it, of the adapter that the backend `gpu` takes; the best one by default.
+    /// Name, or a part of it, of the adapter that the backend `gpu` takes, and `auto` for work that is worth a
+    /// device; the best one by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub adapter: Option<String>,
     /// N: nodes a ring, at least 3.
     pub nodes: u32,
     /// L: levels of faces, at least 1; a tube has L + 1 rings.
     pub levels: u32,
-    /// H: height of a tube, mm.
+    /// H: height of a tube, mm, from 0.001 to 10,000.
     pub height_mm: f64,
-    /// Iterations of the fit.
+    /// Iterations of the fit, at most 10,000.
     pub iterations: u32,
-    /// Radial gate: points from `gate[0]` to `gate[1]` times the cylinder's radius count.
+    /// Radial gate: points from `gate[0]` to `gate[1]` times the cylinder's radius count; at most 1000.
     pub gate: [f64; 2],
     /// Which distances of a triangle count.
     pub outliers: Outliers,
@@ -148,7 +149,10 @@ impl Settings {
             std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
         let settings: Self = toml::from_str(&text)
             .map_err(|e| Error::input(path, "settings", e.to_string().trim_end(), "settings as TOML"))?;
-        settings.validate()?;
+        settings.validate().map_err(|e| match e {
+            Error::Setting { name, found, expected } => Error::input(path, name, found, expected),
+            other => other,
+        })?;
         Ok(settings)
     }
 
@@ -169,7 +173,8 @@ impl Settings {
     /// # Errors
     /// [`Error::Setting`] with the first one that fails.
     pub fn validate(&self) -> Result<()> {
-        // A triangle's index and a node's index are u32 on the device.
+        // A triangle's index and a node's index are u32 on the device. The other bounds are far beyond any
+        // vessel and keep every product of lengths within f32.
         const MOST_FACES: u64 = 1 << 28;
         let fail = |name, found: String, expected: &str| {
             Err(Error::Setting { name, found, expected: expected.into() })
@@ -184,12 +189,15 @@ impl Settings {
             let faces = u64::from(self.nodes) * u64::from(self.levels);
             return fail("nodes * levels", faces.to_string(), "at most 268435456 faces");
         }
-        if !(self.height_mm.is_finite() && self.height_mm > 0.0) {
-            return fail("height_mm", self.height_mm.to_string(), "more than 0 mm");
+        if !(0.001..=10_000.0).contains(&self.height_mm) {
+            return fail("height_mm", format!("{:?}", self.height_mm), "0.001 to 10000 mm");
+        }
+        if self.iterations > 10_000 {
+            return fail("iterations", self.iterations.to_string(), "at most 10000");
         }
         let [low, high] = self.gate;
-        if !(low.is_finite() && high.is_finite() && 0.0 <= low && low < high) {
-            return fail("gate", format!("[{low}, {high}]"), "0 <= low < high, both finite");
+        if !(0.0 <= low && low < high && high <= 1000.0) {
+            return fail("gate", format!("[{low:?}, {high:?}]"), "0 <= low < high <= 1000");
         }
         if self.every < 1 {
             return fail("every", self.every.to_string(), "at least 1");
@@ -238,6 +246,18 @@ mod tests {
     }
 
     #[test]
+    fn a_settings_file_may_name_a_part_and_is_named_where_it_is_wrong() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("settings.toml");
+        std::fs::write(&path, "[calibration]\nposition_mm = [1.0, 2.0, 3.0]\n").unwrap();
+        let calibration = Calibration { position_mm: [1.0, 2.0, 3.0], ..Calibration::default() };
+        assert_eq!(Settings::read_toml(&path).unwrap(), Settings { calibration, ..Settings::default() });
+        std::fs::write(&path, "nodes = 1\n").unwrap();
+        let message = Settings::read_toml(&path).unwrap_err().to_string();
+        assert!(message.ends_with("settings.toml: nodes: found 1, expected at least 3"), "{message}");
+    }
+
+    #[test]
     fn settings_outside_their_limits_are_named() {
         let d = Settings::default;
         for (settings, name) in [
@@ -245,6 +265,10 @@ mod tests {
             (Settings { levels: 0, ..d() }, "levels"),
             (Settings { height_mm: -1.0, ..d() }, "height_mm"),
             (Settings { height_mm: f64::NAN, ..d() }, "height_mm"),
+            (Settings { height_mm: 1e300, ..d() }, "height_mm"),
+            (Settings { height_mm: 1e-300, ..d() }, "height_mm"),
+            (Settings { iterations: u32::MAX, ..d() }, "iterations"),
+            (Settings { gate: [0.5, 1e300], ..d() }, "gate"),
             (Settings { gate: [0.5, 0.5], ..d() }, "gate"),
             (Settings { gate: [0.5, f64::INFINITY], ..d() }, "gate"),
             (Settings { every: 0, ..d() }, "every"),

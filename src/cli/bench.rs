@@ -22,8 +22,8 @@ pub(super) struct Arguments {
     )]
     sizes: Vec<Case>,
     /// How often each is timed
-    #[arg(long, value_name = "COUNT", default_value_t = 5)]
-    repeats: usize,
+    #[arg(long, value_name = "COUNT", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
+    repeats: u16,
     /// Only the CPU
     #[arg(long)]
     no_device: bool,
@@ -73,7 +73,7 @@ impl Arguments {
         for &case in &self.sizes {
             let row = run(
                 case,
-                self.repeats,
+                usize::from(self.repeats),
                 #[cfg(feature = "gpu")]
                 device.as_ref(),
             )?;

@@ -3,7 +3,6 @@ use crate::cylinder::{CylinderEstimator, Upright};
 use crate::geometry::Pose;
 use crate::recording::{Centreline, Pullback, Summary};
 use glam::DVec2;
-use std::io::Write;
 use std::path::PathBuf;
 
 /// Turn other data into a recording
@@ -94,8 +93,7 @@ impl PullbackArguments {
                 numbers.collect::<String>()
             )
         };
-        // A reader that has seen enough, such as `head`, closes the pipe.
-        let _closed = std::io::stdout().write_all(text.as_bytes());
+        print!("{text}");
         Ok(())
     }
 }

@@ -1,6 +1,5 @@
 use crate::Result;
 use crate::recording::{Recording, Summary};
-use std::io::Write;
 use std::path::PathBuf;
 
 /// Show what is in a recording
@@ -24,8 +23,7 @@ impl Arguments {
         } else {
             format!("{}\n{summary}", self.recording.display())
         };
-        // A reader that has seen enough, such as `head`, closes the pipe.
-        let _closed = std::io::stdout().write_all(text.as_bytes());
+        print!("{text}");
         Ok(())
     }
 }

@@ -1,5 +1,16 @@
 //! The command line: a thin layer over the library, one file per sub-command.
 
+/// The standard macro panics where stdout is a closed pipe (`| head`) or a full disk; this one ends the process.
+macro_rules! print {
+    ($($text:tt)*) => { $crate::cli::say(format_args!($($text)*)) };
+}
+
+/// As [`print!`], with an end of line.
+macro_rules! println {
+    () => { print!("\n") };
+    ($($text:tt)*) => { print!("{}\n", format_args!($($text)*)) };
+}
+
 mod bench;
 mod demo;
 #[cfg(feature = "gpu")]
@@ -76,11 +87,23 @@ pub fn main() -> ExitCode {
 
 /// Prints a value as JSON on stdout.
 fn print_json(value: &impl serde::Serialize) -> Result<()> {
-    let mut out = std::io::stdout().lock();
-    serde_json::to_writer_pretty(&mut out, value)
-        .map_err(std::io::Error::from)
-        .and_then(|()| std::io::Write::write_all(&mut out, b"\n"))
-        .map_err(|source| Error::Write { path: "stdout".into(), source })
+    let text = serde_json::to_string_pretty(value)
+        .map_err(|e| Error::Write { path: "stdout".into(), source: e.into() })?;
+    println!("{text}");
+    Ok(())
+}
+
+/// Writes to stdout, or ends the process where that cannot be done: quietly where the reader has seen enough, as
+/// `head` does, else with status 1.
+fn say(text: std::fmt::Arguments) {
+    match std::io::Write::write_fmt(&mut std::io::stdout().lock(), text) {
+        Ok(()) => {}
+        Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
+        Err(source) => {
+            eprintln!("lumenmesh: {}", Error::Write { path: "stdout".into(), source });
+            std::process::exit(1);
+        }
+    }
 }
 
 /// Prints text on stdout. A reader that has seen enough, such as `head`, closes the pipe.

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh render vessel.vtp -o vessel.png
-  lumenmesh render vessel.vtp -o error.png --array distance_mm --range 0,2 --view front
+  lumenmesh render error.vtp -o error.png --array error_mm --range 0,2 --view front
   lumenmesh render vessel.ply -o small.png --array residual_mm --size 800x600")]
 pub(super) struct Arguments {
     /// Mesh: .vtp, .ply, .stl or .obj
@@ -38,7 +38,8 @@ impl Arguments {
         check_ending(&self.output)?;
         let surface = Surface::read(&self.mesh)?;
         let style = Style { array: self.array, range: self.range, view: self.view, size: self.size };
-        render(&surface, &style)?.write(&self.output)?;
+        let picture = render(&surface, &style).map_err(|e| e.in_file(&self.mesh))?;
+        picture.write(&self.output)?;
         if self.json {
             return print_json(&serde_json::json!({
                 "mesh": self.mesh,

@@ -6,7 +6,6 @@ use crate::settings::Settings;
 use crate::surface::Surface;
 use crate::{Error, Result};
 use serde::Serialize;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Measure a mesh's cross-sections in the planes of a recording's frames
@@ -116,8 +115,7 @@ impl Arguments {
                 lines.len()
             );
         }
-        // A reader that has seen enough, such as `head`, closes the pipe.
-        let _closed = std::io::stdout().write_all(text.as_bytes());
+        print!("{text}");
         Ok(())
     }
 

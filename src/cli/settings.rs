@@ -15,7 +15,8 @@ pub(super) struct SettingsArguments {
     /// Where it is computed [default: auto]
     #[arg(long, value_enum)]
     backend: Option<Backend>,
-    /// Adapter of the backend gpu, by name or a part of it [default: the best; see lumenmesh devices]
+    /// Adapter of the backend gpu, and of auto for large work, by name or a part of it [default: the best;
+    /// see lumenmesh devices]
     #[arg(long, value_name = "NAME")]
     adapter: Option<String>,
     /// Nodes a ring [default: 12]
@@ -25,13 +26,13 @@ pub(super) struct SettingsArguments {
     #[arg(long, value_name = "L")]
     levels: Option<u32>,
     /// Height of a cylinder [default: 10]
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
     height: Option<f64>,
     /// Iterations of the fit [default: 3]
     #[arg(long, value_name = "COUNT")]
     iterations: Option<u32>,
     /// Radial gate, in radii of the cylinder [default: 0.5,1.5]
-    #[arg(long, value_name = "LOW,HIGH", value_parser = numbers::<2>)]
+    #[arg(long, value_name = "LOW,HIGH", value_parser = numbers::<2>, allow_hyphen_values = true)]
     gate: Option<[f64; 2]>,
     /// Which distances of a triangle count [default: iqr]
     #[arg(long, value_enum)]

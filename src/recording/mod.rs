@@ -44,18 +44,28 @@ impl Frame {
 
     /// Centroid of the area inside the contour, mm in the probe's plane: a polygon through the echoes in ray
     /// order, straight across missing ones. `None` where there is no area.
+    ///
+    /// Noise as large as the lumen makes a polygon that crosses itself: areas of both signs cancel, and what the
+    /// formula gives can lie anywhere. Outside the echoes' bounding box their mean stands in.
     pub fn centroid_mm(&self) -> Option<DVec2> {
         let origin = self.echoes_mm().next()?;
         // Taken about one of the points, so that a contour far from the origin loses no digits.
         let points = || self.echoes_mm().map(move |p| p - origin);
         let (mut twice_area, mut moment, mut extent) = (0.0, DVec2::ZERO, 0.0_f64);
+        let (mut low, mut high, mut sum) = (DVec2::ZERO, DVec2::ZERO, DVec2::ZERO);
         for (a, b) in points().zip(points().skip(1).chain([DVec2::ZERO])) {
             let cross = a.perp_dot(b);
             twice_area += cross;
             moment += (a + b) * cross;
             extent = extent.max(a.length_squared());
+            (low, high, sum) = (low.min(a), high.max(a), sum + a);
         }
-        (twice_area.abs() > 1e-9 * extent).then(|| origin + moment / (3.0 * twice_area))
+        if twice_area.abs() <= 1e-9 * extent {
+            return None;
+        }
+        let centroid = moment / (3.0 * twice_area);
+        let within = low.cmple(centroid).all() && centroid.cmple(high).all();
+        Some(origin + if within { centroid } else { sum / points().count() as f64 })
     }
 }
 
@@ -166,8 +176,8 @@ impl Frame {
     }
 
     /// What makes the frame useless, at most one defect per quantity: a pose that is not finite or no rotation, a
-    /// time that is not finite, a contour point that is half there, a cylinder that is not finite or has no
-    /// positive radius.
+    /// time that is not finite, a contour point that is half there, a cylinder that is not finite or whose
+    /// radius is not positive or beyond any vessel's.
     pub fn defects(&self) -> Vec<Defect> {
         let position = self.world_from_sensor.translation_mm;
         let mut defects = Vec::new();
@@ -190,8 +200,8 @@ impl Frame {
         if let Some(c) = &self.cylinder {
             if !c.is_finite() {
                 add("cylinder", format!("{c:?}"), "five finite numbers");
-            } else if c.radius_mm <= 0.0 {
-                add("cylinder radius", format!("{} mm", c.radius_mm), "more than 0 mm");
+            } else if !(0.0 < c.radius_mm && c.radius_mm <= MOST_RADIUS_MM) {
+                add("cylinder radius", format!("{:?} mm", c.radius_mm), "more than 0 and at most 10000 mm");
             }
         }
         defects
@@ -226,6 +236,9 @@ impl Frame {
         }
     }
 }
+
+/// Beyond any vessel, and far enough within f32 that squares of lengths are too.
+const MOST_RADIUS_MM: f64 = 10_000.0;
 
 /// Largest element of |RᵀR − I| that rounding in a tracker's output explains.
 const ROTATION_TOLERANCE: f64 = 1e-3;

@@ -82,10 +82,7 @@ impl Surface {
         if surface.triangles.is_empty() {
             return Err(Error::input(path, "triangles", "none", "at least one"));
         }
-        surface.check().map_err(|error| match error {
-            Error::Surface { what, found, expected } => Error::input(path, what, found, expected),
-            other => other,
-        })?;
+        surface.check().map_err(|e| e.in_file(path))?;
         Ok(surface)
     }
 

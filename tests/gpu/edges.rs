@@ -170,3 +170,11 @@ fn more_than_65535_workgroups_a_pass() {
     let settings = Settings { nodes: 4_200_000, levels: 1, iterations: 1, ..Settings::default() };
     agrees(device, &wall(20_000, 103), &settings);
 }
+
+/// llvmpipe ends loops after 65,535 rounds, so that no workgroup may have too many faces to do.
+#[test]
+fn thousands_of_long_faces_are_all_measured() {
+    let Some(device) = device() else { return };
+    let settings = Settings { nodes: 100, levels: 60, iterations: 1, ..Settings::default() };
+    agrees(device, &wall(2_400_000, 173), &settings);
+}

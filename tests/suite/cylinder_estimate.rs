@@ -3,7 +3,7 @@
 use crate::support::shared;
 use glam::{DVec2, DVec3};
 use lumenmesh::geometry::Pose;
-use lumenmesh::recording::{Centreline, Recording};
+use lumenmesh::recording::{Centreline, Frame, Recording};
 
 fn median(mut numbers: Vec<f64>) -> f64 {
     numbers.sort_by(f64::total_cmp);
@@ -104,4 +104,19 @@ fn a_model_that_is_there_stays() {
     for k in (0..1000).filter(|&k| k != 500) {
         assert_eq!(filled.frames[k].cylinder, given.frames[k].cylinder, "frame {k}");
     }
+}
+
+#[test]
+fn a_contour_that_crosses_itself_keeps_its_centre_among_its_points() {
+    let bow_tie = |tip: f64| Frame {
+        world_from_sensor: Pose::IDENTITY,
+        time_s: None,
+        contour_mm: [(-1.0, -1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, tip)].map(DVec2::from).to_vec(),
+        cylinder: None,
+    };
+    // Nearly no area is left: the formula alone puts the centre 133 mm away.
+    let centre = bow_tie(1.01).centroid_mm().unwrap();
+    assert!(centre.abs_diff_eq(DVec2::new(0.0, 0.0025), 1e-12), "{centre}");
+    // None at all.
+    assert_eq!(bow_tie(1.0).centroid_mm(), None);
 }

@@ -23,4 +23,6 @@ mod recording_command;
 mod render;
 #[cfg(feature = "cli")]
 mod simulate;
+#[cfg(feature = "cli")]
+mod stdout;
 mod surface;

@@ -64,7 +64,8 @@ fn settings_outside_their_limits_are_refused() {
     for (flags, expected) in [
         (&["--nodes", "2"][..], "lumenmesh: setting nodes: found 2, expected at least 3"),
         (&["--levels", "0"], "lumenmesh: setting levels: found 0, expected at least 1"),
-        (&["--height", "0"], "lumenmesh: setting height_mm: found 0, expected more than 0 mm"),
+        (&["--height", "0"], "lumenmesh: setting height_mm: found 0.0, expected 0.001 to 10000 mm"),
+        (&["--height", "-1"], "lumenmesh: setting height_mm: found -1.0, expected 0.001 to 10000 mm"),
         (&["--gate", "1.5,0.5"], "lumenmesh: setting gate: found [1.5, 0.5], expected 0 <= low < high"),
         (&["--every", "0"], "lumenmesh: setting every: found 0, expected at least 1"),
         (
@@ -143,7 +144,7 @@ fn a_recording_that_cannot_be_used_is_refused() {
         ("cut.mat", "lumenmesh: cut.mat: "),
         (
             "negative.mat",
-            "lumenmesh: negative.mat: frame 7: cylinder radius: found -4.125 mm, expected more than 0 mm",
+            "lumenmesh: negative.mat: frame 7: cylinder radius: found -4.125 mm, expected more than 0 and at most 10000 mm",
         ),
         ("empty.mat", "lumenmesh: empty.mat: "),
         (

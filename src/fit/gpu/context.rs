@@ -172,13 +172,17 @@ impl Context {
         Self { device, queue, adapter: None, report: Arc::default() }
     }
 
-    /// How many workgroups share the long faces: enough to fill a GPU, and on software, where a workgroup costs
-    /// microseconds even if nothing is left for it to do, a few for each thread.
-    pub(super) fn long_groups(&self) -> u64 {
-        match &self.adapter {
+    /// How many workgroups share the long faces, of which there are `long_most` at most: enough to fill a GPU, and
+    /// on software, where a workgroup costs microseconds even if nothing is left for it to do, a few for each thread.
+    ///
+    /// None gets more than 128 faces: llvmpipe ends an invocation's loops, without a word, after 65,535 rounds of
+    /// all of them together, and a face takes about a hundred beside those over its points.
+    pub(super) fn long_groups(&self, long_most: u64) -> u64 {
+        let groups = match &self.adapter {
             Some(adapter) if adapter.is_software() => 2 * rayon::current_num_threads() as u64,
             _ => 1024,
-        }
+        };
+        groups.max(long_most.div_ceil(128)).min(long_most)
     }
 
     /// Fails where the device has reported something outside any call.

@@ -184,7 +184,7 @@ impl Workspace {
             job,
             iterations: settings.iterations,
             lanes,
-            long_groups: long_most.min(context.long_groups()) as u32,
+            long_groups: context.long_groups(long_most) as u32,
             bytes,
             buffers,
             bind_groups,

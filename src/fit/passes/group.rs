@@ -68,16 +68,13 @@ impl<T: Scalar> Groups<T> {
 pub fn group<T: Scalar>(section: &Section<T>, tube: &Tube) -> Groups<T> {
     let grid = Grid::<T>::new(tube);
     let faces = tube.face_count();
-    let place = |i: usize| {
-        let (level, node) = grid.face(section.theta[i], section.z[i]);
-        (level, node, (level * grid.nodes + node) as usize)
-    };
     let mut offsets = vec![0_u32; faces + 1];
     let mut face_of: Vec<u32> = Vec::with_capacity(section.len());
     for i in 0..section.len() {
-        let (_, _, face) = place(i);
-        offsets[face + 1] += 1;
-        face_of.push(face as u32);
+        let (level, node) = grid.face(section.theta[i], section.z[i]);
+        let face = level * grid.nodes + node;
+        offsets[face as usize + 1] += 1;
+        face_of.push(face);
     }
     for face in 0..faces {
         offsets[face + 1] += offsets[face];

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use lumenmesh::surface::Surface;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -41,13 +42,18 @@ pub fn shared(path: &str) -> Option<PathBuf> {
     if file.exists() {
         return Some(file);
     }
-    assert!(!required("LUMENMESH_REQUIRE_DATA"), "{} is missing", file.display());
-    eprintln!("SKIPPED: {} is missing (LUMENMESH_SHARED names the data's folder)", file.display());
+    let what = format!("{} is missing (LUMENMESH_SHARED names the data's folder)", file.display());
+    skipped(&what, "LUMENMESH_REQUIRE_DATA");
     None
 }
 
-fn required(variable: &str) -> bool {
-    std::env::var(variable).is_ok_and(|value| value == "1")
+/// Says that a test leaves something out, even where it passes and what `eprintln` writes is not shown; fails where
+/// the variable is 1.
+pub fn skipped(what: &str, required_by: &str) {
+    let required = std::env::var(required_by).is_ok_and(|value| value == "1");
+    assert!(!required, "{what}");
+    let mut unseen_by_the_test_harness = std::io::stderr().lock();
+    writeln!(unseen_by_the_test_harness, "SKIPPED: {what}").unwrap();
 }
 
 /// A Python that can import VTK.
@@ -69,7 +75,6 @@ pub fn python_with_vtk() -> Option<Python> {
     if imported.is_ok_and(|output| output.status.success()) {
         return Some(Python(python.into()));
     }
-    assert!(!required("LUMENMESH_REQUIRE_TOOLS"), "no Python with VTK");
-    eprintln!("SKIPPED: no Python with VTK (LUMENMESH_PYTHON names one)");
+    skipped("no Python with VTK (LUMENMESH_PYTHON names one)", "LUMENMESH_REQUIRE_TOOLS");
     None
 }
