@@ -19,6 +19,7 @@ pub mod report;
 pub mod settings;
 pub mod simulate;
 pub mod surface;
+pub mod sweep;
 pub mod tube;
 
 pub use error::{Error, Result};
