@@ -29,6 +29,14 @@ pub(super) struct Corners {
     pub bottom: bool,
 }
 
+impl Corners {
+    /// The node that has the largest weight.
+    pub(super) fn nearest(&self) -> usize {
+        let nearest = (1..3).fold(0, |best, k| if self.weights[k] > self.weights[best] { k } else { best });
+        self.nodes[nearest]
+    }
+}
+
 impl Grid {
     pub(super) fn new(rings: usize, nodes: usize, step_mm: f64, radius_mm: f64) -> Self {
         Self { rings, nodes, step_mm, arc_mm: TAU * radius_mm / nodes as f64 }
@@ -53,6 +61,11 @@ impl Grid {
         } else {
             Corners { nodes: [a, a_up, b_up], weights: [1.0 - up, up - round, round], bottom: false }
         }
+    }
+
+    /// The median radius that distances about the axis are taken at, mm.
+    pub(super) fn radius_mm(&self) -> f64 {
+        self.arc_mm * self.nodes as f64 / TAU
     }
 
     /// Area that a node stands for, mm².
