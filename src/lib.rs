@@ -3,6 +3,7 @@
 //! Data flows one way: [`recording`] → [`cylinder`] → [`fit`] → [`merge`] → [`surface`] → [`evaluate`].
 //! Lengths are millimetres, angles radians, times seconds; indices count from 0.
 
+pub mod bench;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod cylinder;

@@ -225,7 +225,7 @@ impl Settings {
             return fail("sweep.roughness", self.sweep.roughness.to_string(), "more than 0");
         }
         let norm = DQuat::from_array(self.calibration.quaternion).length();
-        if !((norm - 1.0).abs() < 1e-3) {
+        if !norm.is_finite() || (norm - 1.0).abs() >= 1e-3 {
             return fail(
                 "calibration.quaternion",
                 format!("norm {norm}"),

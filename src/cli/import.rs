@@ -1,4 +1,6 @@
 use crate::Result;
+use crate::cylinder::{CylinderEstimator, Upright};
+use crate::geometry::Pose;
 use crate::recording::{Centreline, Pullback, Summary};
 use glam::DVec2;
 use std::io::Write;
@@ -22,7 +24,7 @@ enum Source {
 /// separated by tabs, semicolons or commas, with or without column names. Frames are sorted by z and renumbered
 /// from 0. Roll about the catheter was not measured and is taken as constant.
 #[derive(clap::Args)]
-#[command(after_help = "Examples:\n  lumenmesh import pullback contours.csv -o pullback.mat\n  \
+#[command(after_help = "Examples:\n  lumenmesh import pullback contours.csv -o pullback.mat --upright\n  \
     lumenmesh import pullback contours.csv -o pullback --centreline vessel.csv --centre 4.5,4.5")]
 struct PullbackArguments {
     /// The contours
@@ -36,6 +38,9 @@ struct PullbackArguments {
     /// The probe in the image, mm [default: mean of the contours' centroids]
     #[arg(long, value_name = "X,Y", value_parser = point, allow_hyphen_values = true)]
     centre: Option<DVec2>,
+    /// Give every frame a cylinder that stands upright on it, about its contour's centroid
+    #[arg(long)]
+    upright: bool,
     /// Print JSON instead of text
     #[arg(long)]
     json: bool,
@@ -60,7 +65,11 @@ impl Arguments {
 impl PullbackArguments {
     fn run(self) -> Result<()> {
         let centreline = self.centreline.as_deref().map(Centreline::read).transpose()?;
-        let pullback = Pullback::read(&self.contours, self.centre, centreline.as_ref())?;
+        let mut pullback = Pullback::read(&self.contours, self.centre, centreline.as_ref())?;
+        if self.upright {
+            let mut upright = Upright { sensor_from_probe: Pose::IDENTITY };
+            pullback.recording.frames.iter_mut().for_each(|frame| frame.cylinder = upright.push(frame));
+        }
         pullback.recording.write(&self.output)?;
         let summary = Summary::of(&pullback.recording);
         let roll = "not measured: held constant along the path";

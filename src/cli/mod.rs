@@ -1,5 +1,6 @@
 //! The command line: a thin layer over the library, one file per sub-command.
 
+mod bench;
 mod demo;
 mod evaluate;
 mod import;
@@ -7,6 +8,7 @@ mod info;
 mod progress;
 mod reconstruct;
 mod render;
+mod sections;
 mod settings;
 mod simulate;
 
@@ -25,9 +27,11 @@ struct Arguments {
 enum Command {
     Reconstruct(reconstruct::Arguments),
     Evaluate(evaluate::Arguments),
+    Sections(sections::Arguments),
     Info(info::Arguments),
     Import(import::Arguments),
     Demo(demo::Arguments),
+    Bench(bench::Arguments),
     Simulate(simulate::Arguments),
     Render(render::Arguments),
 }
@@ -37,9 +41,11 @@ pub fn main() -> ExitCode {
     let done: Result<()> = match Arguments::parse().command {
         Command::Reconstruct(arguments) => arguments.run(),
         Command::Evaluate(arguments) => arguments.run(),
+        Command::Sections(arguments) => arguments.run(),
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Demo(arguments) => arguments.run(),
+        Command::Bench(arguments) => arguments.run(),
         Command::Simulate(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
     };

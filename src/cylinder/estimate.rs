@@ -1,7 +1,7 @@
 use super::CylinderModel;
 use crate::geometry::Pose;
 use crate::recording::Frame;
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use std::collections::VecDeque;
 
 /// Finds the local cylinder of each frame from the contours and poses seen so far.
@@ -87,22 +87,44 @@ impl CylinderEstimator for LocalEstimate {
         self.remember(world_centre);
         let probe_z = world_from_probe.rotation.z_axis;
         let world_axis = self.axis(probe_z).unwrap_or(probe_z);
-
         let axis = frame.world_from_sensor.rotation.transpose() * world_axis;
-        let centre = self.sensor_from_probe.transform_point(centroid.extend(0.0));
-        let mut distances: Vec<f64> = frame
-            .echoes_mm()
-            .map(|p| self.sensor_from_probe.transform_point(p.extend(0.0)) - centre)
-            .map(|p| p.reject_from_normalized(axis).length())
-            .collect();
-        let middle = distances.len() / 2;
-        let radius_mm = *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
-
-        let to_plane = -centre.z / axis.z;
-        let foot = centre + axis * to_plane;
-        let model = CylinderModel::from_axis(foot.x, foot.y, axis, radius_mm);
-        (axis.z.abs() > 1e-3 && model.is_finite() && radius_mm > 0.0).then_some(model)
+        about(frame, centroid, axis, &self.sensor_from_probe)
     }
+}
+
+/// A cylinder that stands upright on the frame: along the probe's z axis, about the area centroid of its contour
+/// ([`Frame::centroid_mm`]). The radius is the median distance of its wall points from there.
+///
+/// For contours drawn across the vessel, as in pullbacks whose poses nobody measured, and lumens so far from round that
+/// their centres jump from frame to frame without the vessel turning.
+#[derive(Debug, Clone, Copy)]
+pub struct Upright {
+    /// The calibration `eTi` (thesis, Eq. 11).
+    pub sensor_from_probe: Pose,
+}
+
+impl CylinderEstimator for Upright {
+    /// `None` also where the probe's axis runs along the plane z = 0 of `{e}`, which a [`CylinderModel`] cannot express.
+    fn push(&mut self, frame: &Frame) -> Option<CylinderModel> {
+        about(frame, frame.centroid_mm()?, self.sensor_from_probe.rotation.z_axis, &self.sensor_from_probe)
+    }
+}
+
+/// The cylinder about a point in the probe's plane with an axis given in `{e}`.
+fn about(frame: &Frame, centre_mm: DVec2, axis: DVec3, sensor_from_probe: &Pose) -> Option<CylinderModel> {
+    let centre = sensor_from_probe.transform_point(centre_mm.extend(0.0));
+    let mut distances: Vec<f64> = frame
+        .echoes_mm()
+        .map(|p| sensor_from_probe.transform_point(p.extend(0.0)) - centre)
+        .map(|p| p.reject_from_normalized(axis).length())
+        .collect();
+    let middle = distances.len() / 2;
+    let radius_mm = *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
+
+    let to_plane = -centre.z / axis.z;
+    let foot = centre + axis * to_plane;
+    let model = CylinderModel::from_axis(foot.x, foot.y, axis, radius_mm);
+    (axis.z.abs() > 1e-3 && model.is_finite() && radius_mm > 0.0).then_some(model)
 }
 
 /// The direction along which points spread most, by power iteration from a guess.
@@ -119,7 +141,7 @@ fn principal_direction(points: &VecDeque<DVec3>, guess: DVec3) -> Option<DVec3> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::{DQuat, DVec2};
+    use glam::DQuat;
 
     /// A straight vessel of radius 10 about the world's z axis, seen by a probe `aside` mm from its axis and
     /// `lean` rad tilted about x, at z mm.
@@ -216,6 +238,27 @@ mod tests {
                 assert!(k < 140 || axis.z > 1.0 - 1e-9, "frame {k}: {axis}");
             }
         }
+    }
+
+    #[test]
+    fn an_upright_cylinder_follows_the_probe_whatever_the_path() {
+        let turned = Pose::from_quaternion(DVec3::new(1.0, -2.0, 3.0), DQuat::from_rotation_y(0.4));
+        for calibration in [Pose::IDENTITY, turned] {
+            let mut upright = Upright { sensor_from_probe: calibration };
+            for k in 0..60 {
+                let frame = frame(f64::from(k) * 0.2, f64::from(k) * 0.1, 0.3, calibration);
+                let model = upright.push(&frame).unwrap();
+                let (point, axis) = world_axis(&frame, &model);
+                let probe = frame.world_from_sensor * calibration;
+                assert!(axis.abs_diff_eq(probe.rotation.z_axis, 1e-12), "frame {k}: {axis}");
+                let centre = probe.transform_point(frame.centroid_mm().unwrap().extend(0.0));
+                assert!((point - centre).reject_from(axis).length() < 1e-9, "frame {k}: {point}");
+                assert!((10.0..10.0 / 0.3_f64.cos()).contains(&model.radius_mm), "{}", model.radius_mm);
+            }
+        }
+        let mut nothing = frame(0.0, 0.0, 0.0, Pose::IDENTITY);
+        nothing.contour_mm.clear();
+        assert_eq!(Upright { sensor_from_probe: Pose::IDENTITY }.push(&nothing), None);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 mod estimate;
 
-pub use estimate::{CylinderEstimator, LocalEstimate};
+pub use estimate::{CylinderEstimator, LocalEstimate, Upright};
 
 use crate::geometry::Pose;
 use glam::{DMat3, DVec3};

@@ -4,9 +4,10 @@
 //! [`DEFINITIONS`], which the command prints beside it.
 
 mod locator;
-mod tree;
+mod sections;
 
 pub use locator::{Closest, Locator};
+pub use sections::{LumenSection, read_values, sections};
 
 use crate::surface::Surface;
 use crate::{Error, Result};

@@ -91,7 +91,7 @@ pub(super) fn read(folder: &Path) -> Result<Recording> {
     Ok(Recording { frames })
 }
 
-fn columns<const N: usize>(table: &Table, names: [&'static str; N]) -> Result<[Column; N]> {
+fn columns<const N: usize>(table: &Table, names: [&'static str; N]) -> Result<[Column<'static>; N]> {
     let mut found = [Column { index: 0, name: "" }; N];
     for (column, name) in found.iter_mut().zip(names) {
         *column = table.column(name)?;
@@ -102,7 +102,7 @@ fn columns<const N: usize>(table: &Table, names: [&'static str; N]) -> Result<[C
 fn known_frame<'a>(
     table: &Table,
     row: &Row,
-    column: Column,
+    column: Column<'_>,
     index_of: &BTreeMap<u64, usize>,
     frames: &'a mut [Frame],
 ) -> Result<&'a mut Frame> {

@@ -9,6 +9,7 @@ mod table;
 
 pub use pullback::{Centreline, Pullback};
 pub use summary::{Defects, Example, Spread, Summary};
+pub(crate) use table::Table;
 
 use crate::cylinder::{CylinderEstimator, CylinderModel, LocalEstimate};
 use crate::geometry::Pose;

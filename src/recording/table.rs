@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 ///
 /// Lines end in LF or CRLF; a byte order mark is skipped. Where the comma does not separate, it may stand for
 /// the decimal point.
-pub(super) struct Table {
+pub(crate) struct Table {
     path: PathBuf,
     header: Vec<String>,
     /// The first line, where it holds numbers.
@@ -18,7 +18,7 @@ pub(super) struct Table {
 }
 
 /// One line of a table.
-pub(super) struct Row {
+pub(crate) struct Row {
     /// Where the reader stood before it: blank lines and half a line end may lie between.
     offset: u64,
     fields: csv::StringRecord,
@@ -26,9 +26,9 @@ pub(super) struct Row {
 
 /// A column: where it is and what messages call it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Column {
+pub(crate) struct Column<'a> {
     pub index: usize,
-    pub name: &'static str,
+    pub name: &'a str,
 }
 
 impl Table {
@@ -60,11 +60,11 @@ impl Table {
     }
 
     /// Columns of a table that may lack names: found by either of two names each, or else in order from `start`.
-    pub fn columns<const N: usize>(
+    pub fn columns<'a, const N: usize>(
         &self,
-        names: [[&'static str; 2]; N],
+        names: [[&'a str; 2]; N],
         start: usize,
-    ) -> Result<[Column; N]> {
+    ) -> Result<[Column<'a>; N]> {
         let mut columns = [Column { index: 0, name: "" }; N];
         for (i, (column, [name, other])) in columns.iter_mut().zip(names).enumerate() {
             *column = if self.header.is_empty() {
@@ -80,7 +80,7 @@ impl Table {
     }
 
     /// The column of that name.
-    pub fn column(&self, name: &'static str) -> Result<Column> {
+    pub fn column<'a>(&self, name: &'a str) -> Result<Column<'a>> {
         self.optional_column(name)?.ok_or_else(|| {
             let found = match self.header.len() {
                 0 => "no line of column names".into(),
@@ -90,7 +90,7 @@ impl Table {
         })
     }
 
-    pub fn optional_column(&self, name: &'static str) -> Result<Option<Column>> {
+    pub fn optional_column<'a>(&self, name: &'a str) -> Result<Option<Column<'a>>> {
         let mut columns = self.header.iter().enumerate().filter(|(_, n)| n.as_str() == name);
         let column = columns.next().map(|(index, _)| Column { index, name });
         match columns.next() {
@@ -113,7 +113,7 @@ impl Table {
     }
 
     /// The number in a column; `None` where the field is empty.
-    pub fn optional_number(&self, row: &Row, column: Column) -> Result<Option<f64>> {
+    pub fn optional_number(&self, row: &Row, column: Column<'_>) -> Result<Option<f64>> {
         match row.fields.get(column.index) {
             Some("") => Ok(None),
             Some(field) => match self.parse(field) {
@@ -127,12 +127,12 @@ impl Table {
         }
     }
 
-    pub fn number(&self, row: &Row, column: Column) -> Result<f64> {
+    pub fn number(&self, row: &Row, column: Column<'_>) -> Result<f64> {
         self.optional_number(row, column)?.ok_or_else(|| self.fault(row, column, "nothing", "a number"))
     }
 
     /// A number that counts: whole and not negative.
-    pub fn count(&self, row: &Row, column: Column) -> Result<u64> {
+    pub fn count(&self, row: &Row, column: Column<'_>) -> Result<u64> {
         let number = self.number(row, column)?;
         if number.fract() == 0.0 && (0.0..9e15).contains(&number) {
             return Ok(number as u64);
@@ -141,7 +141,13 @@ impl Table {
     }
 
     /// An error that names the line.
-    pub fn fault(&self, row: &Row, column: Column, found: impl ToString, expected: impl ToString) -> Error {
+    pub fn fault(
+        &self,
+        row: &Row,
+        column: Column<'_>,
+        found: impl ToString,
+        expected: impl ToString,
+    ) -> Error {
         let bytes = self.records.reader().get_ref().get_ref();
         let (before, after) = bytes.split_at(bytes.len().min(row.offset as usize));
         let blank = after.iter().take_while(|&&b| b == b'\r' || b == b'\n').count();

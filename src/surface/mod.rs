@@ -3,12 +3,14 @@
 //! One file of this module per format. VTP rests on `quick-xml`, `flate2` and `base64`. PLY, STL and OBJ are read here:
 //! what bad input may do is then ours to bound, as no buffer is ever larger than the file gives cause for.
 
+mod cut;
 mod obj;
 mod ply;
 mod stl;
 mod topology;
 mod vtp;
 
+pub use cut::{Cut, Outline};
 pub use topology::Topology;
 
 use crate::{Error, Result, output};

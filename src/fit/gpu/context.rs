@@ -172,6 +172,15 @@ impl Context {
         Self { device, queue, adapter: None, report: Arc::default() }
     }
 
+    /// How many workgroups share the long faces: enough to fill a GPU, and on software, where a workgroup costs
+    /// microseconds even if nothing is left for it to do, a few for each thread.
+    pub(super) fn long_groups(&self) -> u64 {
+        match &self.adapter {
+            Some(adapter) if adapter.is_software() => 2 * rayon::current_num_threads() as u64,
+            _ => 1024,
+        }
+    }
+
     /// Fails where the device has reported something outside any call.
     pub(super) fn alive(&self) -> Result<(), GpuError> {
         match self.report.lock().unwrap_or_else(PoisonError::into_inner).clone() {

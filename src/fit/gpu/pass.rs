@@ -76,7 +76,7 @@ pub static PASSES: [Pass; 13] = [
 ];
 
 /// Invocations a short face that `measure_short` is built for.
-pub const LANES: [u32; 4] = [4, 8, 16, 32];
+pub const LANES: [u32; 5] = [2, 4, 8, 16, 32];
 
 impl Pass {
     /// The whole WGSL text.

@@ -178,7 +178,7 @@ impl Workspace {
             job,
             iterations: settings.iterations,
             lanes,
-            long_groups: long_most.min(1024) as u32,
+            long_groups: long_most.min(context.long_groups()) as u32,
             bytes,
             buffers,
             bind_groups,
@@ -237,6 +237,30 @@ impl Workspace {
     /// The nodes' radii, mm, f32, ring after ring: the result.
     pub fn radii(&self) -> &wgpu::Buffer {
         &self.buffers["radii"]
+    }
+
+    /// Bytes that a pass must read and write in a whole fit, each input once and each output once.
+    pub fn bytes_of(&self, pass: &str) -> u64 {
+        let [slots, faces, nodes] = [
+            u64::from(self.job.slots),
+            u64::from(self.job.cylinders) * u64::from(self.job.faces),
+            u64::from(self.job.cylinders) * u64::from(self.job.node_count),
+        ];
+        let iterations = u64::from(self.iterations);
+        match pass {
+            "project" => (8 + 16) * slots,
+            "bin" => (8 + 8) * slots + 4 * faces,
+            "scan_reduce" | "classify" => 4 * faces,
+            "scan_downsweep" => 8 * faces,
+            "scatter" => (12 + 8 + 12) * slots + 4 * faces,
+            "measure_short" => iterations * (12 * slots + (4 + 24) * faces + 4 * nodes),
+            // Keys are written once and read once a round: four rounds and the sums.
+            "measure_long" => iterations * (12 + 4 + 5 * 4) * slots,
+            "fill_bottom" | "fill_top" => iterations * (12 + 4) * faces,
+            "update" => iterations * (8 * faces + 8 * nodes),
+            "support" => 24 * faces + 8 * nodes,
+            _ => 0,
+        }
     }
 
     /// How many workgroups a pass needs: two dimensions and the cylinders.

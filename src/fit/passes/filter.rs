@@ -45,6 +45,7 @@ pub struct TriangleStatistic<T> {
 
 /// 1-based rank of the first quartile of n ≥ 2 values: (n + 1)/4, rounded half up.
 #[inline(always)]
+#[expect(clippy::manual_div_ceil, reason = "a rounded rank, and the shader's words")]
 fn first_quartile(n: usize) -> usize {
     (n + 3) / 4
 }

@@ -257,7 +257,7 @@ mod tests {
         let scale = f32::fixed_point_scale(40.0);
         assert_eq!(scale, 2.0_f32.powi(24));
         let values = [-1.25_f32, 3.5, 0.125, -20.0];
-        let sum = values.iter().map(|v| v.to_fixed(scale)).fold(0, |a, b| a + b);
+        let sum = values.iter().map(|v| v.to_fixed(scale)).sum::<i64>();
         assert_eq!(f32::mean_of(sum, 1.0 / scale, 4), -4.40625);
         let many: i64 = (0..100_000).map(|_| (-30.0_f32).to_fixed(scale)).sum();
         assert_eq!(f32::mean_of(many, 1.0 / scale, 100_000), -30.0);

@@ -1,17 +1,11 @@
-//! The fitting error: distances against known shapes, an exhaustive oracle and VTK; and the command that prints them.
+//! The fitting error: distances against known shapes, an exhaustive oracle and VTK.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
-mod support;
-
+use crate::support::{python_with_vtk, shared, tetrahedron, tube};
 use glam::DVec3;
 use lumenmesh::evaluate::{Distances, Locator, Truth, evaluate};
 use lumenmesh::surface::Surface;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::path::Path;
-use std::process::{Command, Output};
-use support::{python_with_vtk, shared, tetrahedron, tube};
 
 fn point(rng: &mut ChaCha8Rng, size: f64) -> DVec3 {
     DVec3::new(rng.random(), rng.random(), rng.random()) * size - DVec3::splat(0.5 * size)
@@ -126,7 +120,60 @@ fn distances_to_a_fine_surface_equal_those_of_an_exhaustive_search() {
     assert!(worst < 1e-11, "{worst}");
 }
 
-/// The comparison above must be able to fail: a thousandth of a millimetre in one node shows.
+#[test]
+fn slivers_are_as_near_as_an_exhaustive_search_says() {
+    let mut rng = ChaCha8Rng::seed_from_u64(10);
+    for width in [1e-3, 1e-4, 1e-5, 1e-6] {
+        for _ in 0..300 {
+            let (a, b) = (point(&mut rng, 20.0), point(&mut rng, 20.0));
+            let c = a.lerp(b, rng.random()) + point(&mut rng, width);
+            let sliver = Surface { nodes_mm: vec![a, b, c], triangles: vec![[0, 1, 2]], arrays: Vec::new() };
+            let queries: Vec<DVec3> =
+                (0..10).map(|_| a.lerp(b, rng.random()) + point(&mut rng, 0.1)).collect();
+            // Rounding of 20 mm coordinates, 4e-15 mm, turns the normal by 4e-15 mm / width, which counts over 20 mm.
+            let worst = worst_disagreement(&sliver, &sliver, &queries);
+            assert!(worst < 1e-13 / width, "{width} mm: {worst}");
+        }
+    }
+}
+
+#[test]
+fn of_equally_near_triangles_the_first_is_found_wherever_the_search_starts() {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mut surface = sphere(12, 10.0);
+    let once = surface.triangles.len();
+    surface.triangles.extend_from_within(..);
+    surface.triangles.extend_from_within(..once);
+    let locator = Locator::new(&surface).unwrap();
+    let mut queries: Vec<DVec3> = (0..2000).map(|_| point(&mut rng, 30.0)).collect();
+    queries.extend(&surface.nodes_mm);
+    for (&query, many) in queries.iter().zip(locator.closest_all(&queries)) {
+        assert!((many.triangle as usize) < once);
+        assert_eq!(locator.closest(query), many);
+    }
+}
+
+/// Far beyond the range of single precision, in which the tree's boxes are.
+#[test]
+fn any_size_and_any_distance_will_do() {
+    let queries: Vec<DVec3> = {
+        let mut rng = ChaCha8Rng::seed_from_u64(12);
+        (0..200).map(|_| point(&mut rng, 30.0)).collect()
+    };
+    let reference = Locator::new(&sphere(12, 10.0)).unwrap().closest_all(&queries);
+    // Powers of two, so that nothing is rounded.
+    for scale in [2f64.powi(-130), 2f64.powi(130)] {
+        let locator = Locator::new(&sphere(12, 10.0 * scale)).unwrap();
+        for (&query, found) in queries.iter().zip(&reference) {
+            let scaled = locator.closest(query * scale);
+            assert_eq!((scaled.triangle, scaled.distance_mm), (found.triangle, found.distance_mm * scale));
+        }
+    }
+    let far = Locator::new(&tetrahedron()).unwrap().closest(DVec3::splat(-1e60));
+    assert!((far.distance_mm / (1e60 * 3f64.sqrt()) - 1.0).abs() < 1e-15);
+}
+
+/// The comparisons above must be able to fail: a thousandth of a millimetre in one node shows.
 #[test]
 fn the_oracle_notices_a_moved_node() {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
@@ -315,98 +362,4 @@ fn vtk_finds_the_same_distances() {
     assert_eq!(compared, mesh.nodes_mm.len());
     // VTK's normals at edges and nodes are not weighted by angle, and at open rims the sign is a convention.
     assert!(signs as f64 > 0.99 * compared as f64, "{signs} of {compared} signs agree");
-}
-
-fn command(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_lumenmesh"));
-    command.current_dir(folder).arg("evaluate").args(arguments).output().unwrap()
-}
-
-fn shapes() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    tube(24, 10, 9.5, 20.0).write(&folder.path().join("mesh.vtp")).unwrap();
-    tube(240, 40, 10.0, 60.0).write(&folder.path().join("truth.stl")).unwrap();
-    folder
-}
-
-#[test]
-fn the_command_prints_every_number_with_its_definition() {
-    let folder = shapes();
-    let output = command(folder.path(), &["mesh.vtp", "--truth", "truth.stl"]);
-    let text = String::from_utf8(output.stdout).unwrap();
-    assert!(
-        output.status.success() && output.stderr.is_empty(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    // Node to facet of a finely divided tube: 0.5 mm less its sag of 10·(1 - cos(π/240)) = 0.0009 mm.
-    assert!(text.contains("fitting error  0.49") || text.contains("fitting error  0.5000 mm"), "{text}");
-    for word in [
-        "rms, mm",
-        "median, mm",
-        "95th percentile, mm",
-        "largest, mm",
-        "signed mean, mm",
-        "not on an open rim",
-        "nearest rank",
-    ] {
-        assert!(text.contains(word), "{word} is missing:\n{text}");
-    }
-}
-
-#[test]
-fn the_command_writes_json_and_a_coloured_mesh() {
-    let folder = shapes();
-    let output =
-        command(folder.path(), &["mesh.vtp", "--truth", "truth.stl", "--json", "--out", "error.vtp"]);
-    assert!(output.status.success());
-    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    let coloured = Surface::read(&folder.path().join("error.vtp")).unwrap();
-    let errors = coloured.array("error_mm").unwrap();
-    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-    assert!((report["mesh_to_truth"]["mean_mm"].as_f64().unwrap() - mean).abs() < 1e-12);
-    assert_eq!(report["mesh_to_truth"]["nodes"], errors.len());
-    assert!(coloured.array("signed_error_mm").unwrap().iter().all(|&e| (-0.5..-0.49).contains(&e)));
-    assert!((report["covered_area_share"].as_f64().unwrap() - 1.0 / 3.0).abs() < 0.03);
-    assert!(report["definitions"]["truth_to_mesh"].is_string() && report.get("error_mm").is_none());
-}
-
-#[test]
-fn the_command_says_what_is_wrong_and_exits_accordingly() {
-    let folder = shapes();
-    std::fs::write(folder.path().join("empty.stl"), "").unwrap();
-    let failed = |arguments: &[&str], status: i32, expected: &str| {
-        let output = command(folder.path(), arguments);
-        let text = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(status), "{text}");
-        assert!(text.contains(expected), "{text}");
-    };
-    failed(&["mesh.vtp", "--truth", "none.stl"], 1, "lumenmesh: none.stl: cannot read: ");
-    failed(
-        &["mesh.vtp", "--truth", "empty.stl"],
-        1,
-        "empty.stl: content: found an empty file, expected a surface",
-    );
-    failed(
-        &["mesh.vtp", "--truth", "truth.stl", "--out", "e.obj"],
-        1,
-        "e.obj: unknown ending \"obj\", expected one of .vtp, .ply",
-    );
-    failed(&["mesh.vtp"], 2, "--truth <SURFACE>");
-    assert!(!folder.path().join("e.obj").exists());
-
-    let mut metres = tube(24, 10, 9.5e-3, 20e-3);
-    metres.nodes_mm.iter_mut().for_each(|p| p.z += 0.001);
-    metres.write(&folder.path().join("metres.ply")).unwrap();
-    let output = command(folder.path(), &["metres.ply", "--truth", "truth.stl"]);
-    assert!(output.status.success());
-    assert!(String::from_utf8(output.stderr).unwrap().contains("lumenmesh: warning: the mesh spans"));
-}
-
-#[test]
-fn the_help_shows_examples() {
-    let output = command(Path::new("."), &["--help"]);
-    assert!(
-        String::from_utf8(output.stdout).unwrap().contains("lumenmesh evaluate mesh.vtp --truth aorta.stl")
-    );
 }

@@ -1,8 +1,6 @@
 //! Recordings come back from their files as they were, and bad files say what is wrong with them.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on stops there")]
 
-mod support;
-
+use crate::support::shared;
 use glam::{DQuat, DVec2, DVec3};
 use lumenmesh::cylinder::CylinderModel;
 use lumenmesh::geometry::Pose;
@@ -11,7 +9,6 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 use std::process::Command;
-use support::shared;
 
 /// Frames with ragged contours, missing echoes, and times and cylinders on some of them.
 fn some_recording(seed: u64) -> Recording {

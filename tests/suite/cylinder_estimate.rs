@@ -1,12 +1,9 @@
 //! The local estimate of the cylinders, against the models that an external tool put into two recordings.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on stops there")]
 
-mod support;
-
+use crate::support::shared;
 use glam::{DVec2, DVec3};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Centreline, Recording};
-use support::shared;
 
 fn median(mut numbers: Vec<f64>) -> f64 {
     numbers.sort_by(f64::total_cmp);

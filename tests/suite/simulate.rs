@@ -1,8 +1,6 @@
 //! Simulated recordings against the settings and vessels that they were made from.
 
-#[expect(dead_code, reason = "other test files use the rest")]
-mod support;
-
+use crate::support::shared;
 use glam::{DQuat, DVec3};
 use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::simulate::{
@@ -12,7 +10,6 @@ use lumenmesh::simulate::{
 use lumenmesh::surface::Surface;
 use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::TriMesh;
-use support::shared;
 
 fn phantom(name: &str) -> Vessel {
     let shape: Shape = name.parse().expect("a phantom's name");

@@ -1,4 +1,4 @@
-//! What the surface and evaluation tests share: shapes, recorded data and outside tools.
+//! What tests share: shapes, recorded data and outside tools.
 
 use glam::DVec3;
 use lumenmesh::surface::Surface;

@@ -1,8 +1,6 @@
 //! `lumenmesh info` and `lumenmesh import` as a user runs them.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on stops there")]
 
-mod support;
-
+use crate::support::shared;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Centreline, Frame, Pullback, Recording, Summary};
@@ -10,7 +8,6 @@ use serde_json::Value;
 use std::f64::consts::TAU;
 use std::path::Path;
 use std::process::Command;
-use support::shared;
 
 /// Exit status, stdout and stderr.
 fn lumenmesh(arguments: &[&str], folder: &Path) -> (i32, String, String) {

@@ -1,15 +1,11 @@
 //! Surfaces: what the files hold, and what a surface says about itself.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
-mod support;
-
+use crate::support::{python_with_vtk, shared, tetrahedron, tube};
 use glam::DVec3;
 use lumenmesh::surface::{Surface, Topology};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::{Path, PathBuf};
-use support::{python_with_vtk, shared, tetrahedron, tube};
 
 const ENDINGS: [&str; 4] = ["vtp", "ply", "stl", "obj"];
 

@@ -1,0 +1,476 @@
+//! How fast the engines are: the same work on the CPU and on a device, checked before it is timed.
+//!
+//! Times are medians with their spread; upload, passes, readback and the whole are told apart. A device's bytes
+//! per pass are counted from what it must read and write and set against the copy bandwidth that the same
+//! process measures.
+
+use crate::fit::passes::Section;
+use crate::fit::{CpuEngine, DeformedTube, Engine};
+use crate::settings::Settings;
+use crate::{Error, Result};
+use rand::{RngExt, SeedableRng};
+use serde::Serialize;
+use std::fmt;
+use std::str::FromStr;
+use std::time::Instant;
+
+/// The radius of the tube that is fitted, mm.
+const RADIUS_MM: f64 = 12.0;
+
+/// How the points lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Spread {
+    /// All over the tube.
+    Even,
+    /// All in 1 % of the faces.
+    Crowded,
+    /// In one half of the faces.
+    Half,
+}
+
+/// One size of work: `512x512x1e6`, optionally `:crowded` or `:half`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Case {
+    /// N.
+    pub nodes: u32,
+    /// L.
+    pub levels: u32,
+    /// Number of points.
+    pub points: usize,
+    /// How they lie.
+    pub spread: Spread,
+}
+
+impl FromStr for Case {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (size, spread) = match text.split_once(':') {
+            None => (text, Spread::Even),
+            Some((size, "crowded")) => (size, Spread::Crowded),
+            Some((size, "half")) => (size, Spread::Half),
+            Some((_, other)) => return Err(format!("found {other:?}, expected crowded or half")),
+        };
+        let parts: Vec<&str> = size.split('x').collect();
+        let [nodes, levels, points] = parts[..] else {
+            return Err(format!("found {text:?}, expected NODESxLEVELSxPOINTS such as 12x5x1e4"));
+        };
+        let number = |part: &str| {
+            let value: f64 = part.parse().map_err(|_| format!("{part:?} is not a number"))?;
+            let whole = value.fract() == 0.0 && (1.0..=4e9).contains(&value);
+            whole.then_some(value).ok_or_else(|| format!("{part:?} is not a whole number from 1 to 4e9"))
+        };
+        Ok(Self {
+            nodes: number(nodes)? as u32,
+            levels: number(levels)? as u32,
+            points: number(points)? as usize,
+            spread,
+        })
+    }
+}
+
+impl fmt::Display for Case {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{}x{} {:.0e}", self.nodes, self.levels, self.points as f64)?;
+        match self.spread {
+            Spread::Even => Ok(()),
+            Spread::Crowded => write!(f, " crowded"),
+            Spread::Half => write!(f, " half"),
+        }
+    }
+}
+
+impl Case {
+    /// The settings of the case: three iterations, the rest as published.
+    pub fn settings(&self) -> Settings {
+        Settings { nodes: self.nodes, levels: self.levels, ..Settings::default() }
+    }
+
+    /// Points on a wavy wall with a noise of 0.5 mm and 2 % outliers of 5 mm, the same for the same seed.
+    pub fn section(&self, seed: u64) -> Section<f32> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let height = Settings::default().height_mm;
+        let (z_share, theta_share) = match self.spread {
+            Spread::Even => (1.0, 1.0),
+            Spread::Crowded => (0.1, 0.1),
+            Spread::Half => (1.0, 0.5),
+        };
+        let mut section = Section::default();
+        for _ in 0..self.points {
+            let theta = rng.random_range(0.0..std::f64::consts::TAU) * theta_share;
+            let z = (rng.random_range(0.0..1.0) * z_share - 0.5) * height;
+            let noise: f64 = rng.sample(rand_distr::StandardNormal);
+            let mut r = RADIUS_MM * (1.1 + 0.05 * (2.0 * theta).sin() + 0.05 * f64::sin(z)) + 0.5 * noise;
+            if rng.random_bool(0.02) {
+                let outlier: f64 = rng.sample(rand_distr::StandardNormal);
+                r += 5.0 * outlier;
+            }
+            section.r.push(r.abs() as f32);
+            section.theta.push(theta as f32);
+            section.z.push(z as f32);
+        }
+        section
+    }
+}
+
+/// Some times in ms.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Times {
+    /// Median.
+    pub median_ms: f64,
+    /// Shortest.
+    pub min_ms: f64,
+    /// Longest.
+    pub max_ms: f64,
+}
+
+impl Times {
+    fn of(mut seconds: Vec<f64>) -> Self {
+        seconds.sort_by(f64::total_cmp);
+        let at = |i: usize| seconds.get(i).copied().unwrap_or(f64::NAN) * 1e3;
+        Self { median_ms: at(seconds.len() / 2), min_ms: at(0), max_ms: at(seconds.len().saturating_sub(1)) }
+    }
+
+    /// The times of some repeats of some work.
+    ///
+    /// # Errors
+    /// The work's.
+    pub fn measure<R>(repeats: usize, mut work: impl FnMut() -> Result<R>) -> Result<Self> {
+        let mut seconds = Vec::with_capacity(repeats);
+        for _ in 0..repeats.max(1) {
+            let start = Instant::now();
+            let done = work()?;
+            seconds.push(start.elapsed().as_secs_f64());
+            drop(done);
+        }
+        Ok(Self::of(seconds))
+    }
+}
+
+/// What a case takes on the CPU.
+#[derive(Debug, Clone, Serialize)]
+pub struct CpuRow {
+    /// The whole fit on one thread.
+    pub one_thread: Times,
+    /// The whole fit on all threads.
+    pub all_threads: Times,
+    /// How many those are.
+    pub threads: usize,
+}
+
+/// What a case takes on the device.
+#[derive(Debug, Clone, Serialize)]
+pub struct DeviceRow {
+    /// Host slices in, tube out.
+    pub end_to_end: Times,
+    /// The points' way to the device.
+    pub upload: Times,
+    /// All passes, points resident, until the device is done.
+    pub resident: Times,
+    /// The radii's way back.
+    pub readback: Times,
+    /// Each pass, timed on the device, as the sum over a fit; absent where the device has no timestamps.
+    pub passes: Vec<PassRow>,
+}
+
+/// What a pass takes in a whole fit.
+#[derive(Debug, Clone, Serialize)]
+pub struct PassRow {
+    /// The pass.
+    pub name: &'static str,
+    /// Median of its device time over a fit, ms.
+    pub median_ms: f64,
+    /// Bytes that it must read and write in a fit.
+    pub bytes: u64,
+    /// Those bytes per second over the copy bandwidth measured in this process.
+    pub share_of_copy_bandwidth: f64,
+}
+
+/// A case on all engines.
+#[derive(Debug, Clone, Serialize)]
+pub struct Row {
+    /// The case.
+    pub case: Case,
+    /// On the CPU.
+    pub cpu: CpuRow,
+    /// On the device, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub device: Option<DeviceRow>,
+    /// How the results were compared before anything was timed.
+    pub parity: Parity,
+}
+
+/// How far two engines' results lie apart.
+#[derive(Debug, Clone, Serialize)]
+pub struct Parity {
+    /// The two engines.
+    pub engines: [String; 2],
+    /// Nodes whose radii differ in any bit.
+    pub differing: usize,
+    /// Nodes.
+    pub nodes: usize,
+    /// Median of |Δr| over all nodes, mm.
+    pub median_mm: f64,
+    /// 99th percentile of |Δr|, mm.
+    pub p99_mm: f64,
+}
+
+impl Parity {
+    /// Most of |Δr|'s median, mm: single decisions may fall the other way on a boundary, most must not.
+    const MOST_MEDIAN_MM: f64 = 1e-4;
+
+    /// Compares two results.
+    ///
+    /// # Errors
+    /// [`Error::Surface`] where they did not see the same points or their median difference is too large.
+    pub fn check(names: [&str; 2], a: &DeformedTube, b: &DeformedTube) -> Result<Self> {
+        let fail = |what: &str, found: String, expected: String| {
+            Err(Error::Surface {
+                what: format!("{} against {}: {what}", names[0], names[1]),
+                found,
+                expected,
+            })
+        };
+        if a.points != b.points || a.radii_mm.len() != b.radii_mm.len() {
+            return fail("points", b.points.to_string(), a.points.to_string());
+        }
+        let mut apart: Vec<f64> = a.radii_mm.iter().zip(&b.radii_mm).map(|(p, q)| (p - q).abs()).collect();
+        apart.sort_by(f64::total_cmp);
+        let rank = |share: f64| apart[((apart.len() - 1) as f64 * share) as usize];
+        let parity = Self {
+            engines: names.map(str::to_owned),
+            differing: apart.iter().filter(|d| **d != 0.0).count(),
+            nodes: apart.len(),
+            median_mm: rank(0.5),
+            p99_mm: rank(0.99),
+        };
+        // A NaN fails too.
+        if parity.median_mm <= Self::MOST_MEDIAN_MM {
+            Ok(parity)
+        } else {
+            let limit = format!("at most {} mm", Self::MOST_MEDIAN_MM);
+            fail("median difference of the radii", format!("{} mm", parity.median_mm), limit)
+        }
+    }
+}
+
+/// Times a case: the CPU against its f64 reference, and the device against the CPU.
+///
+/// # Errors
+/// Where two engines disagree, or one fails. No time is taken then.
+pub fn run(
+    case: Case,
+    repeats: usize,
+    #[cfg(feature = "gpu")] device: Option<&device::Device>,
+) -> Result<Row> {
+    let settings = case.settings();
+    settings.validate()?;
+    let section = case.section(1);
+    let cpu = CpuEngine::<f32>::new();
+    let fit = || cpu.fit_section(&section, RADIUS_MM, &settings);
+    let expected = fit()?;
+    #[cfg(feature = "gpu")]
+    let (parity, device) = match device {
+        Some(device) => {
+            let found = device.engine.fit_section(&section, RADIUS_MM, &settings)?;
+            let parity = Parity::check(["cpu", "gpu"], &expected, &found)?;
+            (parity, Some(device.time(&section, &settings, repeats)?))
+        }
+        None => (against_reference(&section, &settings, &expected)?, None),
+    };
+    #[cfg(not(feature = "gpu"))]
+    let (parity, device) = (against_reference(&section, &settings, &expected)?, None);
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+    let one =
+        one.map_err(|e| Error::Setting { name: "threads", found: e.to_string(), expected: "1".into() })?;
+    let cpu_row = CpuRow {
+        one_thread: one.install(|| Times::measure(repeats, fit))?,
+        all_threads: Times::measure(repeats, fit)?,
+        threads: rayon::current_num_threads(),
+    };
+    Ok(Row { case, cpu: cpu_row, device, parity })
+}
+
+fn against_reference(section: &Section<f32>, settings: &Settings, found: &DeformedTube) -> Result<Parity> {
+    let reference = CpuEngine::<f64>::new().fit_section(section, RADIUS_MM, settings)?;
+    Parity::check(["reference", "cpu"], &reference, found)
+}
+
+/// Timing on a device.
+#[cfg(feature = "gpu")]
+pub mod device {
+    use super::{DeviceRow, PassRow, RADIUS_MM, Times};
+    use crate::Result;
+    use crate::fit::Engine;
+    use crate::fit::gpu::{GpuEngine, GpuError, PASSES, Workspace};
+    use crate::fit::passes::Section;
+    use crate::settings::Settings;
+    use std::collections::BTreeMap;
+    use std::time::Duration;
+
+    /// A device to be timed.
+    pub struct Device {
+        /// The engine, its pipelines built.
+        pub engine: GpuEngine,
+        /// Bytes read and written a second when the device copies a large buffer.
+        pub copy_bytes_per_s: f64,
+        /// Seconds from nothing to the first result: adapter, device, shaders, a small fit.
+        pub cold_start_s: f64,
+    }
+
+    impl Device {
+        /// Starts a device and measures its copy bandwidth.
+        ///
+        /// # Errors
+        /// As [`GpuEngine::new`].
+        pub fn new(adapter: Option<&str>) -> Result<Self> {
+            let start = std::time::Instant::now();
+            let engine = GpuEngine::new(adapter)?;
+            let small = Section { r: vec![RADIUS_MM as f32], theta: vec![0.0], z: vec![0.0], gated: 0 };
+            engine.fit_section(&small, RADIUS_MM, &Settings::default())?;
+            let cold_start_s = start.elapsed().as_secs_f64();
+            engine.warm_up()?;
+            let mut device = Self { engine, copy_bytes_per_s: 0.0, cold_start_s };
+            device.copy_bytes_per_s = device.measure_copy()?;
+            Ok(device)
+        }
+
+        fn measure_copy(&self) -> Result<f64> {
+            const BYTES: u64 = 256 << 20;
+            let size = BYTES.min(self.engine.device().limits().max_buffer_size);
+            let buffer = |label| {
+                self.engine.device().create_buffer(&wgpu::BufferDescriptor {
+                    label: Some(label),
+                    size,
+                    usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+                    mapped_at_creation: false,
+                })
+            };
+            let (from, to) = (buffer("from"), buffer("to"));
+            let copies = 8;
+            let times = Times::measure(5, || {
+                self.submit(|encoder| {
+                    for _ in 0..copies {
+                        encoder.copy_buffer_to_buffer(&from, 0, &to, 0, Some(size));
+                    }
+                    Ok(())
+                })
+            })?;
+            Ok(2.0 * (copies * size) as f64 / (times.min_ms * 1e-3))
+        }
+
+        /// Submits what is recorded and waits for it.
+        fn submit(&self, record: impl FnOnce(&mut wgpu::CommandEncoder) -> Result<()>) -> Result<()> {
+            let (device, queue) = (self.engine.device(), self.engine.queue());
+            let mut encoder = device.create_command_encoder(&Default::default());
+            record(&mut encoder)?;
+            let submission_index = Some(queue.submit([encoder.finish()]));
+            let timeout = Some(Duration::from_secs(120));
+            device
+                .poll(wgpu::PollType::Wait { submission_index, timeout })
+                .map_err(|e| GpuError::Lost { reason: e.to_string() })?;
+            Ok(())
+        }
+
+        pub(super) fn time(
+            &self,
+            section: &Section<f32>,
+            settings: &Settings,
+            repeats: usize,
+        ) -> Result<DeviceRow> {
+            let engine = &self.engine;
+            let end_to_end = Times::measure(repeats, || engine.fit_section(section, RADIUS_MM, settings))?;
+            let workspace = engine.prepare(section.len() as u32, RADIUS_MM, settings)?;
+            let rows: Vec<[f32; 3]> =
+                (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
+            let upload = Times::measure(repeats, || {
+                engine.queue().write_buffer(workspace.section(), 0, bytemuck::cast_slice(&rows));
+                self.submit(|_| Ok(()))
+            })?;
+            let resident =
+                Times::measure(repeats, || self.submit(|encoder| engine.record(&workspace, encoder)))?;
+            let readback = Times::measure(repeats, || self.read(workspace.radii()).map(drop))?;
+            let passes = self.time_passes(&workspace, settings, repeats)?;
+            Ok(DeviceRow { end_to_end, upload, resident, readback, passes })
+        }
+
+        fn read(&self, from: &wgpu::Buffer) -> Result<Vec<u8>> {
+            let copy = self.engine.device().create_buffer(&wgpu::BufferDescriptor {
+                label: Some("readback"),
+                size: from.size(),
+                usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                mapped_at_creation: false,
+            });
+            self.submit(|encoder| {
+                encoder.copy_buffer_to_buffer(from, 0, &copy, 0, Some(from.size()));
+                Ok(())
+            })?;
+            copy.slice(..).map_async(wgpu::MapMode::Read, |_| ());
+            self.submit(|_| Ok(()))?;
+            let view = copy.slice(..).get_mapped_range();
+            Ok(view.map_err(|e| GpuError::Lost { reason: e.to_string() })?.to_vec())
+        }
+
+        /// Device time of each pass over a fit.
+        fn time_passes(
+            &self,
+            workspace: &Workspace,
+            settings: &Settings,
+            repeats: usize,
+        ) -> Result<Vec<PassRow>> {
+            let (device, queue) = (self.engine.device(), self.engine.queue());
+            if !device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
+                return Ok(Vec::new());
+            }
+            let most = 2 * (PASSES.len() as u32) * (settings.iterations + 1);
+            let queries = device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: None,
+                ty: wgpu::QueryType::Timestamp,
+                count: most,
+            });
+            let resolved = device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("timestamps"),
+                size: 8 * u64::from(most),
+                usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: false,
+            });
+            let mut samples: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
+            for _ in 0..repeats.max(1) {
+                let mut names = Vec::new();
+                self.submit(|encoder| {
+                    self.engine.record_timed(workspace, encoder, &mut |name| {
+                        let first = 2 * names.len() as u32;
+                        names.push(name);
+                        Some(wgpu::ComputePassTimestampWrites {
+                            query_set: &queries,
+                            beginning_of_pass_write_index: Some(first),
+                            end_of_pass_write_index: Some(first + 1),
+                        })
+                    })?;
+                    encoder.resolve_query_set(&queries, 0..2 * names.len() as u32, &resolved, 0);
+                    Ok(())
+                })?;
+                let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&self.read(&resolved)?);
+                let mut sums: BTreeMap<&'static str, f64> = BTreeMap::new();
+                for (k, name) in names.iter().enumerate() {
+                    let elapsed = ticks[2 * k + 1].saturating_sub(ticks[2 * k]) as f64;
+                    *sums.entry(name).or_default() +=
+                        elapsed * f64::from(queue.get_timestamp_period()) * 1e-9;
+                }
+                for (name, seconds) in sums {
+                    samples.entry(name).or_default().push(seconds);
+                }
+            }
+            Ok(PASSES
+                .iter()
+                .filter_map(|pass| {
+                    let median_ms = Times::of(samples.remove(pass.name)?).median_ms;
+                    let bytes = workspace.bytes_of(pass.name);
+                    let share = bytes as f64 / (median_ms * 1e-3) / self.copy_bytes_per_s;
+                    Some(PassRow { name: pass.name, median_ms, bytes, share_of_copy_bandwidth: share })
+                })
+                .collect())
+        }
+    }
+}

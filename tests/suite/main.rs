@@ -1,0 +1,24 @@
+//! All tests from outside the crate, in one program: one module per area.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on stops there")]
+
+mod support;
+
+#[cfg(feature = "cli")]
+mod coronary;
+mod cylinder_estimate;
+mod evaluate;
+#[cfg(feature = "cli")]
+mod evaluate_command;
+mod golden;
+mod method;
+#[cfg(feature = "cli")]
+mod reconstruct_command;
+mod recording;
+#[cfg(feature = "cli")]
+mod recording_command;
+#[cfg(feature = "render")]
+mod render;
+#[cfg(feature = "cli")]
+mod simulate;
+mod surface;
