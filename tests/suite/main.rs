@@ -22,3 +22,4 @@ mod render;
 #[cfg(feature = "cli")]
 mod simulate;
 mod surface;
+mod sweep;
