@@ -38,7 +38,8 @@ fn median(values: &[f64]) -> f64 {
 }
 
 fn shared(name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("LUMENMESH_SHARED").map_or_else(|| PathBuf::from("../shared"), PathBuf::from);
+    let folder =
+        std::env::var_os("LUMENMESH_SHARED").map_or_else(|| PathBuf::from("../shared"), PathBuf::from);
     let path = folder.join(name);
     path.exists().then_some(path)
 }

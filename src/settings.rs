@@ -254,6 +254,7 @@ mod tests {
             statistic: Statistic::Median,
             outliers: Outliers::Deviation,
             gate: [0.0, 8.0],
+            sweep: Sweep { nodes: Some(64), ..Sweep::default() },
             ..Settings::default()
         };
         let folder = tempfile::tempdir().unwrap();
@@ -278,6 +279,8 @@ mod tests {
             (Settings { gate: [0.5, 0.5], ..d() }, "gate"),
             (Settings { gate: [0.5, f64::INFINITY], ..d() }, "gate"),
             (Settings { every: 0, ..d() }, "every"),
+            (Settings { sweep: Sweep { nodes: Some(2), ..Sweep::default() }, ..d() }, "sweep.nodes"),
+            (Settings { sweep: Sweep { roughness: f64::NAN, ..Sweep::default() }, ..d() }, "sweep.roughness"),
             (Settings { nodes: u32::MAX, levels: u32::MAX, ..d() }, "nodes * levels"),
         ] {
             let message = settings.validate().unwrap_err().to_string();

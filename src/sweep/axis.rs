@@ -159,3 +159,56 @@ impl<'a> Spline<'a> {
         (point + tangent * (s - inside), tangent)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A quarter of a circle of radius 40 that rises out of its plane.
+    fn axis() -> Axis {
+        let curve: Vec<DVec3> = (0..=30)
+            .map(|i| f64::from(i) / 30.0 * 1.5)
+            .map(|a| DVec3::new(40.0 * a.cos(), 40.0 * a.sin(), 10.0 * a))
+            .collect();
+        Axis::along(&curve, 0.8, 5.0)
+    }
+
+    #[test]
+    fn nodes_come_back_from_the_world() {
+        let axis = axis();
+        for (ring, theta, radius) in [(1, 0.0, 3.0), (20, 1.0, 12.0), (40, 3.0, 25.0), (60, 6.2, 0.5)] {
+            let point = axis.point_mm(ring, theta, radius);
+            let place = axis.place(point, 33).unwrap();
+            assert!((place.ring - ring as f64).abs() < 1e-9, "{place:?}");
+            assert!((place.theta_rad - theta).abs() < 1e-9, "{place:?}");
+            assert!((place.radius_mm - radius).abs() < 1e-9, "{place:?}");
+        }
+    }
+
+    #[test]
+    fn coordinates_do_not_jump_from_ring_to_ring() {
+        let axis = axis();
+        let between =
+            |k: usize, theta: f64| axis.point_mm(k, theta, 11.0).lerp(axis.point_mm(k + 1, theta, 11.0), 0.5);
+        for k in 5..axis.rings() - 5 {
+            let place = axis.place(between(k, 2.0), 0).unwrap();
+            assert!((place.ring - (k as f64 + 0.5)).abs() < 1e-3, "{place:?}");
+            assert!(
+                (place.theta_rad - 2.0).abs() < 1e-3 && (place.radius_mm - 11.0).abs() < 1e-2,
+                "{place:?}"
+            );
+            // A millimetre of the axis is this long out there.
+            let length = axis.point_mm(k, 2.0, 11.0).distance(axis.point_mm(k + 1, 2.0, 11.0));
+            assert!((place.stretch - length / axis.step_mm).abs() < 0.02, "{place:?}");
+        }
+    }
+
+    #[test]
+    fn what_lies_beyond_the_ends_has_no_place() {
+        let axis = axis();
+        let (first, last) = (axis.points_mm[0], axis.points_mm[axis.rings() - 1]);
+        assert!(axis.place(first - axis.frames[0].z_axis * 0.01, 9).is_none());
+        assert!(axis.place(last + axis.frames[axis.rings() - 1].z_axis * 0.01, 9).is_none());
+        assert!(axis.place(first + axis.frames[0].z_axis * 0.01, 9).is_some());
+    }
+}

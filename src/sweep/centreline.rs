@@ -148,7 +148,7 @@ fn smoothed(curve: &[DVec3], centres: &[DVec3], radius: f64) -> Option<Vec<DVec3
     let high = stations.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let length = high - low;
     let nodes = (length * NODES_PER_RADIUS / radius).ceil() as usize + 1;
-    if !(length > 0.0) || nodes < 5 {
+    if !length.is_finite() || nodes < 5 {
         return None;
     }
     let step = length / (nodes - 1) as f64;
@@ -207,4 +207,41 @@ fn station(curve: &[DVec3], lengths: &[f64], point: DVec3) -> f64 {
         }
     }
     station
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tangle_of_centres_is_drawn_as_one_curve() {
+        // Half a circle of radius 40, walked forth, half way back and forth again, with a rest and with scatter.
+        let angle = |step: usize| match step {
+            0..200 => step as f64 / 200.0 * 2.0,
+            200..300 => 2.0,
+            300..400 => 2.0 - (step - 300) as f64 / 100.0,
+            _ => 1.0 + (step - 400) as f64 / 100.0,
+        };
+        let centres: Vec<DVec3> = (0..600)
+            .map(|step| {
+                let scatter = DVec3::new((step as f64 * 1.7).sin(), (step as f64 * 2.3).sin(), 0.0) * 0.5;
+                DVec3::new(angle(step).cos(), angle(step).sin(), 0.0) * 40.0 + scatter
+            })
+            .collect();
+        let curve = centreline(&centres, 8.0).unwrap();
+        let lengths = lengths(&curve);
+        let total = lengths[lengths.len() - 1];
+        assert!((total - 120.0).abs() < 2.0, "{total}");
+        assert!(curve.iter().all(|p| (p.length() - 40.0).abs() < 0.5));
+        assert!(curve[0].distance(centres[0]) < 1.0, "it starts where the catheter did");
+        let step = total / (curve.len() - 1) as f64;
+        assert!(lengths.windows(2).all(|pair| (pair[1] - pair[0] - step).abs() < 0.02 * step));
+    }
+
+    #[test]
+    fn centres_without_length_have_no_curve() {
+        assert!(centreline(&[DVec3::X], 8.0).is_none());
+        assert!(centreline(&[DVec3::X; 20], 8.0).is_none());
+        assert!(centreline(&[DVec3::X, DVec3::X * 3.0], 8.0).is_none());
+    }
 }

@@ -239,7 +239,7 @@ impl Solver {
         let mut direction = z.clone();
         let mut size = dot(&residual, &z);
         for step in 0..MOST_STEPS {
-            if !(size > enough) {
+            if size.is_nan() || size <= enough {
                 return step;
             }
             apply(&direction, &mut product);
@@ -320,4 +320,82 @@ impl Solver {
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GRID: Grid = Grid { rings: 6, nodes: 8, step_mm: 1.3, arc_mm: 0.9 };
+
+    fn some_equations() -> Equations {
+        let mut equations = Equations::over(&GRID, 0..GRID.rings);
+        for i in 0..200 {
+            let (ring, node) = (5.0 * (0.618 * f64::from(i)).fract(), 8.0 * (0.414 * f64::from(i)).fract());
+            equations.add(&GRID.corners(ring, node), 1.0 + 0.01 * f64::from(i), (0.1 * f64::from(i)).sin());
+        }
+        equations
+    }
+
+    fn residual(equations: &Equations, smoothness: f64, x: &[f64]) -> f64 {
+        let mut product = vec![0.0; x.len()];
+        equations.apply(&GRID, x, &mut product);
+        GRID.add_bending(x, smoothness, &mut product);
+        product.iter().zip(&equations.rows).map(|(a, row)| (a - row[4]).abs()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn a_place_is_the_weighted_mean_of_its_corners() {
+        for (ring, node) in [(0.0, 0.0), (0.3, 0.7), (2.7, 7.9), (4.5, -0.2), (5.0, 8.0), (3.0, 3.0)] {
+            let corners = GRID.corners(ring, node);
+            assert!((corners.weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            assert!(corners.weights.iter().all(|w| *w >= 0.0));
+            let mean = |of: fn(usize) -> f64| -> f64 {
+                corners.nodes.iter().zip(corners.weights).map(|(&n, w)| w * of(n)).sum()
+            };
+            assert!((mean(|n| (n / 8) as f64) - ring).abs() < 1e-12, "{ring} {corners:?}");
+            let angle = |n: usize| (n % 8) as f64;
+            let around = corners.nodes.map(|n| (angle(n) - node + 4.0).rem_euclid(8.0) - 4.0);
+            let offset: f64 = around.iter().zip(corners.weights).map(|(a, w)| a * w).sum();
+            assert!(offset.abs() < 1e-12, "{node} {corners:?}");
+        }
+    }
+
+    #[test]
+    fn a_cone_bends_nowhere() {
+        let cone: Vec<f64> = (0..48).map(|i| 5.0 + 0.3 * f64::from(i / 8)).collect();
+        let mut bending = vec![0.0; 48];
+        GRID.add_bending(&cone, 7.0, &mut bending);
+        assert!(bending.iter().all(|b| b.abs() < 1e-9), "{bending:?}");
+        let mut dented = cone;
+        dented[20] += 1.0;
+        GRID.add_bending(&dented, 7.0, &mut bending);
+        assert!(bending[20] > 1.0);
+    }
+
+    #[test]
+    fn the_solver_solves_the_equations() {
+        let equations = some_equations();
+        for smoothness in [1e-4, 1.0, 1e4] {
+            let mut x = vec![0.0; 48];
+            let steps = Solver::new(GRID).solve(&equations, smoothness, 1e-12, &mut x);
+            let scale = 1.0 + smoothness;
+            assert!(residual(&equations, smoothness, &x) < 1e-9 * scale, "{smoothness}: {steps} steps");
+            assert!(steps < MOST_STEPS, "{smoothness}");
+            x[7] += 0.01;
+            assert!(residual(&equations, smoothness, &x) > 1e-6 * scale);
+        }
+    }
+
+    #[test]
+    fn sums_over_parts_are_the_whole() {
+        let mut parts = Equations::over(&GRID, 0..GRID.rings);
+        let mut some = Equations::over(&GRID, 2..5);
+        let corners = GRID.corners(2.6, 7.5);
+        some.add(&corners, 2.0, 3.0);
+        parts.merge(&some);
+        let mut whole = Equations::over(&GRID, 0..GRID.rings);
+        whole.add(&corners, 2.0, 3.0);
+        assert_eq!(parts.rows, whole.rows);
+    }
 }

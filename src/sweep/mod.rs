@@ -20,7 +20,9 @@ use crate::surface::Surface;
 use crate::tube::face_triangles;
 use crate::{Error, Result};
 
+use glam::DVec2;
 use grid::Grid;
+use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 use std::time::Instant;
@@ -99,6 +101,9 @@ pub struct StageSeconds {
 const BEYOND_RADII: f64 = 1.5;
 /// Fewest echoes that a node stands for on average.
 const ECHOES_PER_NODE: f64 = 4.0;
+/// Nodes that a machine holds without trouble.
+const MOST_NODES: f64 = 5e7;
+/// Nodes a ring, where the recording decides.
 const NODES_PER_RING: std::ops::RangeInclusive<usize> = 16..=128;
 
 impl Sweep {
@@ -132,32 +137,44 @@ impl Sweep {
             });
         };
         let echo_count: usize = frames.iter().map(|f| f.echoes_mm().count()).sum();
+        let length_mm = centreline::lengths(&curve).last().copied().unwrap_or(0.0);
         let nodes = match settings.sweep.nodes {
             Some(nodes) => nodes as usize,
             None => {
                 let mut rays: Vec<f64> = frames.iter().map(|f| f.contour_mm.len() as f64).collect();
-                let length = centreline::lengths(&curve).last().copied().unwrap_or(0.0);
-                let affordable = (echo_count as f64 / ECHOES_PER_NODE * TAU * radius_mm / length).sqrt();
+                let affordable = (echo_count as f64 / ECHOES_PER_NODE * TAU * radius_mm / length_mm).sqrt();
                 let nodes = median(&mut rays).min(affordable) as usize;
                 (nodes & !1).clamp(*NODES_PER_RING.start(), *NODES_PER_RING.end())
             }
         };
-        let axis = Axis::along(&curve, TAU * radius_mm / nodes as f64, BEYOND_RADII * radius_mm);
+        let step_mm = TAU * radius_mm / nodes as f64;
+        if length_mm / step_mm * nodes as f64 > MOST_NODES {
+            return Err(Error::Setting {
+                name: "sweep.nodes",
+                found: format!("{nodes} a ring of {radius_mm:.3} mm radius along {length_mm:.0} mm"),
+                expected: format!("at most {MOST_NODES} in all"),
+            });
+        }
+        let axis = Axis::along(&curve, step_mm, BEYOND_RADII * radius_mm);
         let axis_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
-        let mut echoes = Vec::with_capacity(echo_count);
-        for (k, (frame, pose)) in frames.iter().zip(&poses).enumerate() {
-            let Some(first) = frame.echoes_mm().next() else { continue };
-            let centre = frame.centroid_mm().unwrap_or(first);
-            let near = axis.nearest_ring(pose.transform_point(centre.extend(0.0)));
-            for echo in frame.echoes_mm() {
-                if let Some(place) = axis.place(pose.transform_point(echo.extend(0.0)), near) {
-                    echoes.push(Echo::new(&place, pose.rotation.z_axis, k as u32, nodes));
-                }
-            }
-        }
-        echoes.sort_by(|a, b| a.ring().total_cmp(&b.ring()));
+        let mut echoes: Vec<Echo> = frames
+            .par_iter()
+            .zip(&poses)
+            .enumerate()
+            .flat_map_iter(|(k, (frame, pose))| {
+                let to_world = |p: DVec2| pose.transform_point(p.extend(0.0));
+                let centre = frame.centroid_mm().or_else(|| frame.echoes_mm().next());
+                let near = centre.map_or(0, |centre| axis.nearest_ring(to_world(centre)));
+                let axis = &axis;
+                frame.echoes_mm().filter_map(move |echo| {
+                    let place = axis.place(to_world(echo), near)?;
+                    Some(Echo::new(&place, pose.rotation.z_axis, k as u32, nodes))
+                })
+            })
+            .collect();
+        echoes.par_sort_by(|a, b| a.ring().total_cmp(&b.ring()));
         let place_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();

@@ -73,13 +73,18 @@ const GATE_SDS: f64 = 6.0;
 const GATE_RADII: f64 = 0.25;
 /// Feet are not looked for farther away than so many standard deviations.
 const FARTHEST_FOOT_SDS: f64 = 3.0;
+/// What a wall of roughness one bends away from a flat triangle, as noise, in edge lengths. It keeps perfect echoes from
+/// being interpolated.
+const CELL_NOISE: f64 = 0.3;
 /// Iterations without feet and gate, until the wall has its shape.
 const ROUGH_ITERATIONS: usize = 3;
-const MOST_ITERATIONS: usize = 25;
-/// The fit ends when no more than this share of the noise is left to travel (root mean square over the nodes), or …
+const MOST_ITERATIONS: usize = 15;
+/// The fit ends when no more than this share of the noise is left to travel, on average over the nodes, or …
 const ENOUGH_NOISE_SHARE: f64 = 0.01;
-/// … this many millimetres.
-const ENOUGH_MM: f64 = 1e-4;
+/// … this many radii.
+const ENOUGH_RADII: f64 = 1e-6;
+/// Share of the noise to which the equations are solved.
+const SOLVED_NOISE_SHARE: f64 = 1e-3;
 /// Echoes that one task works through: a fixed number, so that sums do not depend on the number of threads.
 const TASK: usize = 8192;
 
@@ -147,15 +152,16 @@ pub(super) fn fit(grid: &Grid, echoes: &mut [Echo], roughness: f64) -> Wall {
     for iteration in 0..MOST_ITERATIONS {
         let rough = iteration < ROUGH_ITERATIONS;
         measure(grid, echoes, &wall, !rough);
-        wall.noise_mm = noise(echoes);
-        wall.smoothness_mm2 = (wall.noise_mm / roughness).powi(2).max(1e-9 * start * start);
+        wall.noise_mm = noise(echoes).hypot(CELL_NOISE * roughness * grid.step_mm);
+        wall.smoothness_mm2 = (wall.noise_mm / roughness).powi(2);
         let equations = equations(grid, echoes, &wall, rough);
         let before = wall.radii_mm.clone();
-        wall.solver_steps += solver.solve(&equations, wall.smoothness_mm2, 1e-4, &mut wall.radii_mm);
+        let tolerance = (SOLVED_NOISE_SHARE * wall.noise_mm / start).max(1e-10);
+        wall.solver_steps += solver.solve(&equations, wall.smoothness_mm2, tolerance, &mut wall.radii_mm);
         wall.iterations = iteration + 1;
-        let travel = before.iter().zip(&wall.radii_mm).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
-        let travel = (travel / before.len() as f64).sqrt();
-        if !rough && travel <= ENOUGH_MM.max(ENOUGH_NOISE_SHARE * wall.noise_mm) {
+        let travel = before.iter().zip(&wall.radii_mm).map(|(a, b)| (a - b).abs()).sum::<f64>();
+        let travel = travel / before.len() as f64;
+        if !rough && travel <= (ENOUGH_RADII * start).max(ENOUGH_NOISE_SHARE * wall.noise_mm) {
             break;
         }
     }
