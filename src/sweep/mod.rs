@@ -138,16 +138,20 @@ impl Sweep {
         };
         let echo_count: usize = frames.iter().map(|f| f.echoes_mm().count()).sum();
         let length_mm = centreline::lengths(&curve).last().copied().unwrap_or(0.0);
+        // More than two rings for each frame would have nothing to rest on.
+        let least_step_mm = length_mm / centres_mm.len() as f64 / 2.0;
         let nodes = match settings.sweep.nodes {
             Some(nodes) => nodes as usize,
             None => {
-                let mut rays: Vec<f64> = frames.iter().map(|f| f.contour_mm.len() as f64).collect();
-                let affordable = (echo_count as f64 / ECHOES_PER_NODE * TAU * radius_mm / length_mm).sqrt();
-                let nodes = median(&mut rays).min(affordable) as usize;
-                (nodes & !1).clamp(*NODES_PER_RING.start(), *NODES_PER_RING.end())
+                let affordable = echo_count as f64 / ECHOES_PER_NODE;
+                let even = (affordable * TAU * radius_mm / length_mm).sqrt();
+                let sparse = affordable * least_step_mm / length_mm;
+                let rays = median(&mut frames.iter().map(|f| f.contour_mm.len() as f64).collect::<Vec<_>>());
+                (rays.min(even.max(sparse)) as usize & !1)
+                    .clamp(*NODES_PER_RING.start(), *NODES_PER_RING.end())
             }
         };
-        let step_mm = TAU * radius_mm / nodes as f64;
+        let step_mm = (TAU * radius_mm / nodes as f64).max(least_step_mm);
         if length_mm / step_mm * nodes as f64 > MOST_NODES {
             return Err(Error::Setting {
                 name: "sweep.nodes",

@@ -49,9 +49,11 @@ impl Support {
         let density =
             median(&mut own.iter().copied().filter(|&n| n > 0.0).collect::<Vec<_>>()) / grid.cell_mm2();
         let reach_mm = (wall.smoothness_mm2 / density.max(f64::MIN_POSITIVE)).powf(0.25);
-        let farthest = 1.0 + FARTHEST_REACH * grid.nodes as f64;
-        let reach = (reach_mm / grid.step_mm).round().clamp(1.0, farthest) as usize;
-        let window_mm2 = (2.0 * reach as f64 + 1.0).powi(2) * grid.cell_mm2();
+        let farthest_mm = FARTHEST_REACH * std::f64::consts::TAU * grid.radius_mm();
+        let reach = [grid.step_mm, grid.arc_mm]
+            .map(|spacing| 1.max((reach_mm.min(farthest_mm) / spacing).round() as usize));
+        let window = reach.iter().map(|&reach| 2.0 * reach as f64 + 1.0).product::<f64>();
+        let window_mm2 = window * grid.cell_mm2();
 
         let about = Moments::about(grid, &own, reach);
         let off_wall = Moments::about(grid, &off_wall, reach).sums;
@@ -87,7 +89,7 @@ impl Support {
     }
 }
 
-/// How a value per node is spread about each node, within a square window; offsets in nodes.
+/// How a value per node is spread about each node, within a window; offsets in nodes.
 struct Moments {
     sums: Vec<f64>,
     /// First and second moments along the axis and about it.
@@ -96,12 +98,12 @@ struct Moments {
 }
 
 impl Moments {
-    /// Over the nodes at most `reach` rings and `reach` nodes away.
-    fn about(grid: &Grid, values: &[f64], reach: usize) -> Self {
+    /// Over the nodes at most `reach` rings and nodes away.
+    fn about(grid: &Grid, values: &[f64], [rings_away, nodes_away]: [usize; 2]) -> Self {
         let (rings, nodes) = (grid.rings, grid.nodes);
         let mut columns = vec![[0.0; 3]; values.len()];
         for k in 0..rings {
-            for other in k.saturating_sub(reach)..(k + reach + 1).min(rings) {
+            for other in k.saturating_sub(rings_away)..(k + rings_away + 1).min(rings) {
                 let offset = other as f64 - k as f64;
                 for j in 0..nodes {
                     let value = values[other * nodes + j];
@@ -119,9 +121,9 @@ impl Moments {
         };
         for node in 0..values.len() {
             let (row, j) = (node / nodes * nodes, node % nodes);
-            for i in 0..=2 * reach {
-                let offset = i as f64 - reach as f64;
-                let [sum, first, second] = columns[row + (j + nodes + i - reach) % nodes];
+            for i in 0..=2 * nodes_away {
+                let offset = i as f64 - nodes_away as f64;
+                let [sum, first, second] = columns[row + (j + nodes + i - nodes_away) % nodes];
                 moments.sums[node] += sum;
                 moments.along[node][0] += first;
                 moments.along[node][1] += second;

@@ -152,7 +152,7 @@ pub(super) fn fit(grid: &Grid, echoes: &mut [Echo], roughness: f64) -> Wall {
     for iteration in 0..MOST_ITERATIONS {
         let rough = iteration < ROUGH_ITERATIONS;
         measure(grid, echoes, &wall, !rough);
-        wall.noise_mm = noise(echoes).hypot(CELL_NOISE * roughness * grid.step_mm);
+        wall.noise_mm = noise(echoes).hypot(CELL_NOISE * roughness * grid.arc_mm);
         wall.smoothness_mm2 = (wall.noise_mm / roughness).powi(2);
         let equations = equations(grid, echoes, &wall, rough);
         let before = wall.radii_mm.clone();
