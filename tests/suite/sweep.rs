@@ -243,3 +243,43 @@ fn what_covers_no_vessel_is_refused() {
         assert!(message.starts_with("setting sweep."), "{message}");
     }
 }
+
+#[test]
+fn small_and_odd_recordings_give_finite_surfaces_or_errors() {
+    let full = round_wall(|z| 10.0 + 0.1 * z, 50.0, 0.4);
+    let mut odd = Vec::new();
+    for count in [2, 3, 5, 17] {
+        odd.push(full.frames.iter().step_by(200 / count).cloned().collect::<Vec<_>>());
+        odd.push(full.frames[..count].to_vec());
+    }
+    for keep in [1, 2, 3, 5] {
+        let few = |f: &Frame| Frame { contour_mm: f.contour_mm[..keep].to_vec(), ..f.clone() };
+        odd.push(full.frames.iter().map(few).collect());
+        let patchy = |f: &Frame| {
+            let missing = |i: usize| i % 16 >= keep;
+            let ray = |(i, p): (usize, &DVec2)| if missing(i) { DVec2::NAN } else { *p };
+            Frame { contour_mm: f.contour_mm.iter().enumerate().map(ray).collect(), ..f.clone() }
+        };
+        odd.push(full.frames.iter().map(patchy).collect());
+    }
+    // A jump, a wild echo, a wall that folds, a frame far from all others.
+    let mut jump = full.frames.clone();
+    jump[100..].iter_mut().for_each(|f| f.world_from_sensor.translation_mm += DVec3::new(300.0, 0.0, 0.0));
+    let mut wild = full.frames.clone();
+    wild[50].contour_mm[7] = DVec2::new(1e9, -1e9);
+    let mut folded = full.frames.clone();
+    folded.iter_mut().for_each(|f| f.contour_mm.reverse());
+    let mut far = full.frames.clone();
+    far[3].world_from_sensor.translation_mm = DVec3::splat(1e6);
+    odd.extend([jump, wild, folded, far]);
+    let mut surfaces = 0;
+    for frames in odd {
+        if let Ok(sweep) = Sweep::of(&Recording { frames }, &Settings::default()) {
+            for keep_unsupported in [false, true] {
+                sweep.surface(keep_unsupported).check().unwrap();
+            }
+            surfaces += 1;
+        }
+    }
+    assert!(surfaces >= 10, "{surfaces}");
+}
