@@ -8,6 +8,9 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
+# Some drivers complain where there is no such folder, as on a server.
+export XDG_RUNTIME_DIR="${XDG_RUNTIME_DIR:-$(mktemp -d)}"
+
 say() { printf '\n== %s\n' "$*"; }
 
 apt_install() {

@@ -49,7 +49,7 @@ pub struct Report {
 }
 
 /// Where the points went. A point can lie in the sections of several cylinders and counts in each.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct PointCounts {
     /// Wall points in the recording.
     pub recorded: u64,

@@ -118,11 +118,15 @@ fn print_row(row: &Row) {
     println!("    radii back            {}", times(&device.readback));
     for pass in &device.passes {
         println!(
-            "      {:<20}{:>10.3} ms  {:>8.2} MB  {:>5.1} % of copy bandwidth",
+            "      {:<20}{:>10.3} ms  {:>8.2} MB, {:>5.1} % of copy bandwidth{}",
             pass.name,
             pass.median_ms,
             pass.bytes as f64 * 1e-6,
-            pass.share_of_copy_bandwidth * 100.0
+            pass.share_of_copy_bandwidth * 100.0,
+            match pass.flops {
+                0 => String::new(),
+                flops => format!(", {:.2} Gflop", flops as f64 * 1e-9),
+            }
         );
     }
 }

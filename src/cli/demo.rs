@@ -1,11 +1,12 @@
 use super::reconstruct::print_report;
 use super::settings::SettingsArguments;
 use super::{print_json, progress};
-use crate::evaluate::{Evaluation, Truth, evaluate};
+use crate::evaluate::{Coverage, Evaluation, Truth, evaluate_covered};
 use crate::fit::{engine, merged_frames};
 use crate::output::write_atomically;
 use crate::reconstruction::{Reconstruction, Report};
 use crate::report::render::{Style, render};
+use crate::report::{Subject, html};
 use crate::settings::Settings;
 use crate::simulate::{self, Insertion, Phantom, Shape, Simulation};
 use crate::{Error, Result};
@@ -67,12 +68,14 @@ impl Arguments {
         let engine = engine(&settings)?;
         let bar = progress::bar("fitting cylinders", merged_frames(recording.frames.len(), &settings).len());
         let reconstruction =
-            Reconstruction::new(recording, &settings, &*engine, false, &|n| bar.inc(n as u64))?;
+            Reconstruction::new(recording, &settings, &*engine, true, &|n| bar.inc(n as u64))?;
         bar.finish_and_clear();
 
         let truth = Truth::new(simulation.vessel.surface().clone())?;
         let mut mesh = reconstruction.vessel.surface();
-        let evaluation = evaluate(&mesh, &truth)?;
+        let sensor_from_probe = settings.calibration.sensor_from_probe();
+        let coverage = Coverage::of(recording, sensor_from_probe, truth.surface(), Coverage::WITHIN_MM)?;
+        let evaluation = evaluate_covered(&mesh, &truth, &coverage)?;
         evaluation.colour(&mut mesh);
 
         let file = |name: &str| self.out.join(name);
@@ -81,8 +84,18 @@ impl Arguments {
         truth.surface().write(&file("truth.vtp"))?;
         mesh.write(&file("vessel.vtp"))?;
         render(&mesh, &style)?.write(&file("vessel.png"))?;
-        let files =
-            ["recording.mat", "truth.vtp", "vessel.vtp", "vessel.png", "summary.json"].map(file).to_vec();
+        let page = html(&Subject {
+            title: "lumenmesh demo: a simulated adult aorta",
+            recording,
+            settings: &settings,
+            reconstruction: &reconstruction,
+            measured: Some((&truth, &evaluation)),
+            command: &format!("lumenmesh demo --seed {}", self.seed),
+        })?;
+        write_atomically(&file("report.html"), |out| out.write_all(page.as_bytes()))?;
+        let files = ["recording.mat", "truth.vtp", "vessel.vtp", "vessel.png", "report.html", "summary.json"]
+            .map(file)
+            .to_vec();
         let summary = Summary {
             seed: self.seed,
             files: &files,
@@ -121,6 +134,7 @@ impl Arguments {
             "the true wall (ParaView)",
             "the reconstructed lumen with its error at every node (ParaView)",
             "a picture of it",
+            "everything on one page (any browser)",
             "all numbers",
         ]) {
             println!("  {:<32} {what}", path.display());

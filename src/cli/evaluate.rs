@@ -1,4 +1,9 @@
-use crate::evaluate::{DEFINITIONS, Distances, Evaluation, Truth, evaluate};
+use crate::evaluate::{
+    Coverage, DEFINITIONS, Distances, Evaluation, Region, Truth, Volumes, evaluate, evaluate_covered,
+};
+use crate::recording::Recording;
+use crate::settings::Settings;
+use crate::simulate::Centreline;
 use crate::surface::Surface;
 use crate::{Error, Result};
 use serde::Serialize;
@@ -17,6 +22,24 @@ pub(super) struct Arguments {
     /// The surface to measure against; its normals point out of the lumen
     #[arg(long, value_name = "SURFACE")]
     truth: PathBuf,
+    /// The recording behind the mesh: the truth near its contour points is what truth→mesh counts
+    #[arg(long, value_name = "REC")]
+    recording: Option<PathBuf>,
+    /// How near a contour point must be, mm
+    #[arg(long, value_name = "MM", default_value_t = Coverage::WITHIN_MM, requires = "recording")]
+    covered_within: f64,
+    /// Settings of the reconstruction: their calibration places the recording
+    #[arg(long, value_name = "TOML", requires = "recording")]
+    config: Option<PathBuf>,
+    /// Centrelines of the truth: errors by stretches of one of them
+    #[arg(long, value_name = "CSV")]
+    centreline: Option<PathBuf>,
+    /// Which of the centrelines, counted from 0
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "centreline")]
+    branch: usize,
+    /// Length of a stretch, mm
+    #[arg(long, value_name = "MM", default_value_t = 50.0, requires = "centreline")]
+    region: f64,
     /// Write the mesh with its distances as node arrays error_mm and signed_error_mm: .vtp or .ply
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -29,6 +52,8 @@ const EXAMPLES: &str = "\
 Examples:
   lumenmesh evaluate mesh.vtp --truth aorta.stl
   lumenmesh evaluate mesh.ply --truth aorta.stl --out error.vtp   # open error.vtp in ParaView, colour by error_mm
+  lumenmesh evaluate mesh.vtp --truth aorta.stl --recording pullback.mat --covered-within 2
+  lumenmesh evaluate mesh.vtp --truth aorta.stl --centreline aorta_centreline.csv --region 50
   lumenmesh evaluate mesh.vtp --truth aorta.stl --json | jq .mesh_to_truth.mean_mm
 
 Exit status: 0 measured (warnings included), 1 a file cannot be used, 2 wrong usage.";
@@ -39,6 +64,11 @@ struct Report<'a> {
     truth: &'a Path,
     #[serde(flatten)]
     evaluation: &'a Evaluation,
+    volumes: Option<Volumes>,
+    /// Why there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    no_volumes: Option<&'a str>,
+    regions: &'a [Region],
     definitions: BTreeMap<&'a str, &'a str>,
 }
 
@@ -49,20 +79,33 @@ impl Arguments {
         }
         let mut mesh = Surface::read(&self.mesh)?;
         let truth = Truth::new(Surface::read(&self.truth)?).map_err(|e| in_file(e, &self.truth))?;
-        let evaluation = evaluate(&mesh, &truth).map_err(|e| in_file(e, &self.mesh))?;
+        let evaluation = match self.coverage(&truth)? {
+            Some(coverage) => evaluate_covered(&mesh, &truth, &coverage),
+            None => evaluate(&mesh, &truth),
+        };
+        let evaluation = evaluation.map_err(|e| in_file(e, &self.mesh))?;
+        let volumes = Volumes::of(&mesh, truth.surface());
+        let regions = self.regions(&mesh, &evaluation)?;
         if let Some(out) = &self.out {
             evaluation.colour(&mut mesh);
             mesh.write(out)?;
         }
         if self.json {
             let definitions = DEFINITIONS.into_iter().collect();
-            let report =
-                Report { mesh: &self.mesh, truth: &self.truth, evaluation: &evaluation, definitions };
+            let report = Report {
+                mesh: &self.mesh,
+                truth: &self.truth,
+                evaluation: &evaluation,
+                volumes: volumes.as_ref().ok().copied(),
+                no_volumes: volumes.as_ref().err().map(String::as_str),
+                regions: &regions,
+                definitions,
+            };
             let text = serde_json::to_string_pretty(&report)
                 .map_err(|e| Error::Write { path: "standard output".into(), source: e.into() })?;
             println!("{text}");
         } else {
-            self.print(&evaluation);
+            self.print(&evaluation, &volumes, &regions);
         }
         for warning in &evaluation.warnings {
             eprintln!("lumenmesh: warning: {warning}");
@@ -70,7 +113,30 @@ impl Arguments {
         Ok(())
     }
 
-    fn print(&self, evaluation: &Evaluation) {
+    fn coverage(&self, truth: &Truth) -> Result<Option<Coverage>> {
+        let Some(path) = &self.recording else {
+            return Ok(None);
+        };
+        let settings = self.config.as_deref().map_or_else(|| Ok(Settings::default()), Settings::read_toml)?;
+        let sensor_from_probe = settings.calibration.sensor_from_probe();
+        let recording = Recording::read(path)?;
+        let coverage = Coverage::of(&recording, sensor_from_probe, truth.surface(), self.covered_within);
+        coverage.map(Some).map_err(|e| in_file(e, &self.truth))
+    }
+
+    fn regions(&self, mesh: &Surface, evaluation: &Evaluation) -> Result<Vec<Region>> {
+        let Some(path) = &self.centreline else {
+            return Ok(Vec::new());
+        };
+        let branches = Centreline::read_branches(path)?;
+        let Some(branch) = branches.get(self.branch) else {
+            let expected = format!("below {}, the number of branches", branches.len());
+            return Err(Error::input(path, "branch", self.branch, expected));
+        };
+        Region::along(branch, self.region, &mesh.nodes_mm, &evaluation.signed_error_mm)
+    }
+
+    fn print(&self, evaluation: &Evaluation, volumes: &Result<Volumes, String>, regions: &[Region]) {
         let forth = &evaluation.mesh_to_truth;
         println!("mesh   {}", self.mesh.display());
         println!("truth  {}", self.truth.display());
@@ -93,6 +159,33 @@ impl Arguments {
         println!("{:<22}{:>12.4}", "signed mean, mm", evaluation.signed_mean_mm);
         println!("{:<22}{:>12.4}", "mean by area, mm", evaluation.area_weighted_mean_mm);
         println!("{:<22}{:>12}{:>11.1}%", "truth area covered", "", 100.0 * evaluation.covered_area_share);
+        println!("{:<22}{:>12.4}", "Hausdorff, mm", evaluation.hausdorff_mm);
+        match volumes {
+            Ok(v) => println!(
+                "{:<22}{:>12.0}{:>12.0}  difference {:.0}",
+                "volume, mm³", v.mesh_mm3, v.truth_mm3, v.difference_mm3
+            ),
+            Err(why) => println!("{:<22}not comparable: {why}", "volume, mm³"),
+        }
+        println!();
+        println!("A node of the truth is covered where {}.", evaluation.covered_rule);
+        if !regions.is_empty() {
+            println!();
+            println!(
+                "{:<22}{:>8}{:>10}{:>10}{:>10}{:>10}{:>10}",
+                "along the centreline", "nodes", "mean", "median", "95 %", "largest", "signed"
+            );
+        }
+        for region in regions {
+            let name = format!("{:.0} to {:.0} mm", region.from_mm, region.to_mm);
+            match &region.mesh_to_truth {
+                Some(d) => println!(
+                    "{name:<22}{:>8}{:>10.4}{:>10.4}{:>10.4}{:>10.4}{:>10.4}",
+                    d.nodes, d.mean_mm, d.median_mm, d.p95_mm, d.max_mm, region.signed_mean_mm
+                ),
+                None => println!("{name:<22}{:>8}", 0),
+            }
+        }
         println!();
         for (name, definition) in DEFINITIONS {
             println!("{name}\n    {definition}");

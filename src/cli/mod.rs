@@ -2,15 +2,21 @@
 
 mod bench;
 mod demo;
+#[cfg(feature = "gpu")]
+mod devices;
 mod evaluate;
+mod experiments;
 mod import;
 mod info;
 mod progress;
 mod reconstruct;
 mod render;
+mod report;
 mod sections;
 mod settings;
 mod simulate;
+mod study;
+mod vessel;
 
 use crate::{Error, Result};
 use clap::{Parser, Subcommand};
@@ -33,7 +39,12 @@ enum Command {
     Demo(demo::Arguments),
     Bench(bench::Arguments),
     Simulate(simulate::Arguments),
+    Experiments(experiments::Arguments),
+    Study(study::Arguments),
     Render(render::Arguments),
+    Report(report::Arguments),
+    #[cfg(feature = "gpu")]
+    Devices(devices::Arguments),
 }
 
 /// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong.
@@ -47,7 +58,12 @@ pub fn main() -> ExitCode {
         Command::Demo(arguments) => arguments.run(),
         Command::Bench(arguments) => arguments.run(),
         Command::Simulate(arguments) => arguments.run(),
+        Command::Experiments(arguments) => arguments.run(),
+        Command::Study(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
+        Command::Report(arguments) => arguments.run(),
+        #[cfg(feature = "gpu")]
+        Command::Devices(arguments) => arguments.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -65,4 +81,9 @@ fn print_json(value: &impl serde::Serialize) -> Result<()> {
         .map_err(std::io::Error::from)
         .and_then(|()| std::io::Write::write_all(&mut out, b"\n"))
         .map_err(|source| Error::Write { path: "stdout".into(), source })
+}
+
+/// Prints text on stdout. A reader that has seen enough, such as `head`, closes the pipe.
+fn print_text(text: &str) {
+    let _closed = std::io::Write::write_all(&mut std::io::stdout().lock(), text.as_bytes());
 }

@@ -1,10 +1,9 @@
+use super::vessel::VesselArguments;
 use super::{print_json, progress};
-use crate::output;
 use crate::simulate::{
-    Centreline, Insertion, Noise, Phantom, Probe, ReducedBend, Settings, Shape, Simulation, TrackerNoise,
-    Vessel,
+    Centreline, Insertion, Noise, Phantom, Probe, ReducedBend, Settings, Simulation, TrackerNoise,
 };
-use crate::surface::{self, Surface};
+use crate::surface;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -13,7 +12,8 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh simulate -o recording/
-  lumenmesh simulate --vessel cylinder --noise none --steady -o pullback.mat --truth wall.vtp
+  lumenmesh simulate --vessel small_arch --truth wall.vtp --truth-centreline middle.csv -o pullback.mat
+  lumenmesh simulate --vessel cylinder --noise none --steady -o pullback.mat
   lumenmesh simulate --vessel aorta.stl --centreline aorta_centreline.csv --branch 1 -o recording/
   lumenmesh simulate --config simulation.toml --seed 7 -o recording/ --truth-recording truth/
   lumenmesh simulate --tracker-noise static_sensor.csv --sensor Reference -o recording/
@@ -38,17 +38,14 @@ pub(super) struct Arguments {
     /// Recording to write: a .mat file, else a folder of CSV files
     #[arg(short, long, value_name = "REC")]
     output: PathBuf,
-    /// A phantom (aorta, cylinder, frustum, arch, stenosis, aneurysm, ellipse, bifurcation,
-    /// side_branch) or a surface file in mm
-    /// (.vtp, .ply, .stl, .obj) [default: aorta]
-    #[arg(long, value_name = "NAME|SURFACE")]
-    vessel: Option<String>,
-    /// Centrelines of a surface file: CSV with branch, x_mm, y_mm, z_mm, r_inscribed_mm
-    #[arg(long, value_name = "CSV")]
-    centreline: Option<PathBuf>,
+    #[command(flatten)]
+    vessel: VesselArguments,
     /// Also write the wall: .vtp, .ply, .stl or .obj
     #[arg(long, value_name = "MESH")]
     truth: Option<PathBuf>,
+    /// Also write the centrelines of its branches: CSV
+    #[arg(long, value_name = "CSV")]
+    truth_centreline: Option<PathBuf>,
     /// Also write the recording without any noise
     #[arg(long, value_name = "REC")]
     truth_recording: Option<PathBuf>,
@@ -160,6 +157,7 @@ struct Summary<'a> {
     tracker: &'a Option<TrackerNoise>,
     settings: &'a Settings,
     truth: &'a Option<PathBuf>,
+    truth_centreline: &'a Option<PathBuf>,
     truth_recording: &'a Option<PathBuf>,
 }
 
@@ -169,7 +167,7 @@ impl Arguments {
             surface::check_ending(path)?;
         }
         let config = self.settings.config()?;
-        let (name, vessel) = self.vessel(config.vessel)?;
+        let (name, vessel) = self.vessel.vessel(config.vessel)?;
         let mut settings = Settings {
             insertion: config.insertion,
             probe: config.probe,
@@ -189,6 +187,9 @@ impl Arguments {
         simulation.recording.write(&self.output)?;
         if let Some(path) = &self.truth {
             simulation.vessel.surface().write(path)?;
+        }
+        if let Some(path) = &self.truth_centreline {
+            Centreline::write_branches(simulation.vessel.branches(), path)?;
         }
         if let Some(path) = &self.truth_recording {
             simulation.truth_recording.write(path)?;
@@ -215,6 +216,7 @@ impl Arguments {
             tracker: &tracker,
             settings: &settings,
             truth: &self.truth,
+            truth_centreline: &self.truth_centreline,
             truth_recording: &self.truth_recording,
         };
         if self.json {
@@ -222,43 +224,6 @@ impl Arguments {
         }
         summary.print();
         Ok(())
-    }
-
-    /// The vessel, and what to call it. A flag goes before the settings file.
-    fn vessel(&self, configured: Option<Phantom>) -> Result<(String, Vessel)> {
-        let flag = self.vessel.as_deref();
-        match flag.map(Path::new) {
-            Some(path) if !output::ending(path).is_empty() => {
-                let Some(centreline) = &self.centreline else {
-                    return Err(Error::Setting {
-                        name: "--centreline",
-                        found: "none".into(),
-                        expected: format!("the centrelines of {}", path.display()),
-                    });
-                };
-                let surface = Surface::read(path)?;
-                let vessel = Vessel::new(surface, Centreline::read_branches(centreline)?)?;
-                Ok((path.display().to_string(), vessel))
-            }
-            _ => {
-                if self.centreline.is_some() {
-                    return Err(Error::Setting {
-                        name: "--centreline",
-                        found: "a phantom, which has its own".into(),
-                        expected: "--vessel SURFACE".into(),
-                    });
-                }
-                let phantom = match (flag, configured) {
-                    (None, Some(phantom)) => phantom,
-                    (None, None) => Shape::Aorta.into(),
-                    (Some(name), configured) => {
-                        let phantom = Phantom::from(name.parse::<Shape>()?);
-                        Phantom { edge_mm: configured.map_or(phantom.edge_mm, |c| c.edge_mm), ..phantom }
-                    }
-                };
-                Ok((format!("{} phantom", phantom.shape.name()), phantom.vessel()?))
-            }
-        }
     }
 }
 
@@ -359,6 +324,9 @@ impl Summary<'_> {
         println!("recording  {}", self.recording.display());
         if let Some(path) = self.truth {
             println!("truth      {}", path.display());
+        }
+        if let Some(path) = self.truth_centreline {
+            println!("centreline {}", path.display());
         }
         if let Some(path) = self.truth_recording {
             println!("truth      {}", path.display());

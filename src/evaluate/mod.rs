@@ -3,18 +3,24 @@
 //! The thesis prints several "overall errors" without saying what they are. Here every number has its definition in
 //! [`DEFINITIONS`], which the command prints beside it.
 
+mod coverage;
 mod locator;
+mod region;
 mod sections;
+mod volume;
 
+pub use coverage::Coverage;
 pub use locator::{Closest, Locator};
+pub use region::Region;
 pub use sections::{LumenSection, read_values, sections};
+pub use volume::{Volumes, closed_volume_mm3};
 
 use crate::surface::Surface;
 use crate::{Error, Result};
 use serde::Serialize;
 
 /// What each number of an [`Evaluation`] means, by its name there.
-pub const DEFINITIONS: [(&str, &str); 5] = [
+pub const DEFINITIONS: [(&str, &str); 8] = [
     (
         "mesh_to_truth",
         "over the mesh's nodes, each counting once: distance to the nearest point of the truth's triangles; its mean is the fitting error",
@@ -33,8 +39,18 @@ pub const DEFINITIONS: [(&str, &str); 5] = [
     ),
     (
         "truth_to_mesh",
-        "over the truth's nodes that the mesh covers, each weighted by a third of the area of its triangles: distance to the \
-         nearest point of the mesh's triangles; a node is covered where that point is not on an open rim of the mesh",
+        "over the truth's covered nodes, each weighted by a third of the area of its triangles: distance to the nearest point \
+         of the mesh's triangles; covered_rule says which nodes are covered",
+    ),
+    ("hausdorff_mm", "the largest distance of both directions, the truth's covered nodes only"),
+    (
+        "regions",
+        "the mesh's nodes by their nearest point on the truth's centreline, in stretches of it: as mesh_to_truth",
+    ),
+    (
+        "volumes",
+        "inside mesh and truth, each opening closed by a fan about the mean of its rim's nodes; comparable only where both end \
+         in the same places and have the same branches",
     ),
 ];
 
@@ -129,8 +145,12 @@ pub struct Evaluation {
     pub area_weighted_mean_mm: f64,
     /// The covered part of the truth to the mesh; none where the mesh covers nothing.
     pub truth_to_mesh: Option<Distances>,
-    /// Share of the truth's area that the mesh covers, 0 to 1.
+    /// Share of the truth's area that is covered, 0 to 1.
     pub covered_area_share: f64,
+    /// Which nodes of the truth are covered, in words.
+    pub covered_rule: String,
+    /// The largest distance of both directions, mm.
+    pub hausdorff_mm: f64,
     /// What makes these numbers doubtful, in words.
     pub warnings: Vec<String>,
     /// Distance of each mesh node, mm.
@@ -149,13 +169,34 @@ impl Evaluation {
     }
 }
 
-/// Measures a mesh against the truth.
+/// Measures a mesh against the truth. A node of the truth counts as covered where the mesh's nearest point is not on an
+/// open rim; a side branch of the truth is then covered by the trunk beside it. [`evaluate_covered`] knows better.
 ///
 /// Nodes that no triangle uses count too: they are part of what was reconstructed.
 ///
 /// # Errors
 /// [`Error::Surface`] where the mesh has an index out of range, a node that is not finite or no triangle with an area.
 pub fn evaluate(mesh: &Surface, truth: &Truth) -> Result<Evaluation> {
+    measure(mesh, truth, None)
+}
+
+/// Measures a mesh against the truth, of which a recording covered a part.
+///
+/// # Errors
+/// As [`evaluate`], and where `coverage` is that of another truth.
+pub fn evaluate_covered(mesh: &Surface, truth: &Truth, coverage: &Coverage) -> Result<Evaluation> {
+    let (found, expected) = (coverage.nodes.len(), truth.surface.nodes_mm.len());
+    if found != expected {
+        return Err(Error::Surface {
+            what: "coverage".into(),
+            found: format!("{found} nodes"),
+            expected: format!("{expected}, those of the truth"),
+        });
+    }
+    measure(mesh, truth, Some(coverage))
+}
+
+fn measure(mesh: &Surface, truth: &Truth, coverage: Option<&Coverage>) -> Result<Evaluation> {
     let mesh_locator = Locator::new(mesh)?;
     let forth = truth.locator.closest_all(&mesh.nodes_mm);
     let error_mm: Vec<f64> = forth.iter().map(|c| c.distance_mm).collect();
@@ -172,15 +213,22 @@ pub fn evaluate(mesh: &Surface, truth: &Truth) -> Result<Evaluation> {
 
     let back = mesh_locator.closest_all(&truth.surface.nodes_mm);
     let truth_areas = truth.surface.node_areas_mm2();
+    let is_covered = |node: usize| coverage.map_or(!back[node].on_rim, |coverage| coverage.nodes[node]);
     let covered: Vec<f64> =
-        back.iter().zip(&truth_areas).map(|(c, &area)| if c.on_rim { 0.0 } else { area }).collect();
+        truth_areas.iter().enumerate().map(|(n, &area)| if is_covered(n) { area } else { 0.0 }).collect();
     let back_mm: Vec<f64> = back.iter().map(|c| c.distance_mm).collect();
+    let truth_to_mesh = Distances::of(&back_mm, &covered);
     Ok(Evaluation {
+        hausdorff_mm: truth_to_mesh.map_or(0.0, |back| back.max_mm).max(mesh_to_truth.max_mm),
         mesh_to_truth,
         signed_mean_mm: signed_error_mm.iter().sum::<f64>() / signed_error_mm.len() as f64,
         area_weighted_mean_mm: by_area.mean_mm,
-        truth_to_mesh: Distances::of(&back_mm, &covered),
+        truth_to_mesh,
         covered_area_share: covered.iter().sum::<f64>() / truth_areas.iter().sum::<f64>(),
+        covered_rule: coverage.map_or_else(
+            || "the nearest point of the mesh is not on an open rim of it".into(),
+            |coverage| format!("a contour point of the recording lies within {} mm", coverage.within_mm),
+        ),
         warnings: doubts(mesh, &truth.surface),
         error_mm,
         signed_error_mm,

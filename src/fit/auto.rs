@@ -25,6 +25,21 @@ impl AutoEngine {
     const SECONDS_PER_POINT: f64 = 25e-9;
     const SECONDS_PER_FACE: f64 = 60e-9;
 
+    /// The adapter that large work goes to, of a list with the best first, where none is named.
+    ///
+    /// # Errors
+    /// Why the work stays on the CPU.
+    #[cfg(feature = "gpu")]
+    pub fn choose(
+        adapters: &[super::gpu::AdapterDescription],
+    ) -> Result<&super::gpu::AdapterDescription, String> {
+        match adapters.first() {
+            None => Err("there is no GPU adapter".into()),
+            Some(best) if best.is_software() => Err(format!("the best adapter, {}, is software", best.name)),
+            Some(best) => Ok(best),
+        }
+    }
+
     fn cpu_seconds(points: u64, cylinders: usize, settings: &Settings) -> f64 {
         let faces = cylinders as f64 * f64::from(settings.nodes) * f64::from(settings.levels);
         let an_iteration = points as f64 * Self::SECONDS_PER_POINT + faces * Self::SECONDS_PER_FACE;
@@ -52,12 +67,11 @@ impl AutoEngine {
         }
         #[cfg(feature = "gpu")]
         {
-            let device = self.device.get_or_init(|| match super::gpu::adapters().first() {
-                None => Err("there is no GPU adapter".into()),
-                Some(best) if best.is_software() && settings.adapter.is_none() => {
-                    Err(format!("the only adapter, {}, is software", best.name))
+            let device = self.device.get_or_init(|| {
+                if settings.adapter.is_none() {
+                    Self::choose(&super::gpu::adapters())?;
                 }
-                Some(_) => super::gpu::GpuEngine::new(settings.adapter.as_deref()).map_err(|e| e.to_string()),
+                super::gpu::GpuEngine::new(settings.adapter.as_deref()).map_err(|e| e.to_string())
             });
             match device {
                 Err(why) => on_cpu(why.clone()),

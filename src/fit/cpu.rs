@@ -4,7 +4,7 @@ use super::passes::{
     Face, Filter, Grid, Groups, Scalar, Section, TriangleStatistic, distance, fill, filter, group, support,
     update,
 };
-use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job};
+use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job, check_section};
 use crate::Result;
 use crate::settings::Settings;
 use crate::tube::Tube;
@@ -51,6 +51,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         settings: &Settings,
     ) -> Result<DeformedTube> {
         settings.validate()?;
+        check_section(section, radius_mm)?;
         let convert = |values: &[f32]| values.iter().map(|&x| T::from_f64(x.to_f64())).collect();
         let section = Section {
             r: convert(&section.r),
@@ -69,43 +70,88 @@ fn deform<T: Scalar>(
     settings: &Settings,
     history: bool,
 ) -> DeformedTube {
-    let tube = Tube::new(settings);
-    let groups = group(section, &tube);
-    let filter = Filter::<T>::new(settings, radius_mm);
-    let chunks = chunks(&groups, tube.face_count());
-
-    let mut radii = vec![T::from_f64(radius_mm); tube.node_count()];
-    let mut statistics = vec![TriangleStatistic::default(); 2 * tube.face_count()];
-    let mut values = Vec::new();
-    let mut history_mm = Vec::new();
-    let mut travel_mm = Vec::new();
-    let to_f64 = |radii: &[T]| radii.iter().map(|r| r.to_f64()).collect::<Vec<f64>>();
-    if history {
-        history_mm.push(to_f64(&radii));
-    }
+    let mut deformation = Deformation::new(section, radius_mm, settings, history);
     for _ in 0..settings.iterations {
-        measure(&groups, &tube, &filter, &radii, &chunks, &mut statistics);
-        fill(&statistics, &tube, &mut values);
-        travel_mm.push(update(&values, &tube, &filter, &mut radii).to_f64());
-        if history {
-            history_mm.push(to_f64(&radii));
+        deformation.iterate();
+    }
+    deformation.into_tube()
+}
+
+/// The fit of one tube after some of its iterations.
+pub(super) struct Deformation<T> {
+    tube: Tube,
+    radius_mm: f64,
+    filter: Filter<T>,
+    chunks: Vec<Range<usize>>,
+    gated: u64,
+    keep_history: bool,
+    values: Vec<T>,
+    /// The section's points, face after face.
+    pub(super) groups: Groups<T>,
+    /// Radii of the nodes.
+    pub(super) radii: Vec<T>,
+    /// What each triangle said in the last iteration.
+    pub(super) statistics: Vec<TriangleStatistic<T>>,
+    /// Mean |travel| of each iteration, mm.
+    pub(super) travel_mm: Vec<f64>,
+    /// Radii before the first iteration and after each, mm; empty unless asked for.
+    pub(super) history_mm: Vec<Vec<f64>>,
+}
+
+impl<T: Scalar> Deformation<T> {
+    /// Groups a section's points about the primitive tube.
+    pub(super) fn new(section: &Section<T>, radius_mm: f64, settings: &Settings, history: bool) -> Self {
+        let tube = Tube::new(settings);
+        let groups = group(section, &tube);
+        let radii = vec![T::from_f64(radius_mm); tube.node_count()];
+        Self {
+            tube,
+            radius_mm,
+            filter: Filter::new(settings, radius_mm),
+            chunks: chunks(&groups, tube.face_count()),
+            gated: section.gated,
+            keep_history: history,
+            values: Vec::new(),
+            groups,
+            statistics: vec![TriangleStatistic::default(); 2 * tube.face_count()],
+            travel_mm: Vec::new(),
+            history_mm: if history { vec![to_f64(&radii)] } else { Vec::new() },
+            radii,
         }
     }
 
-    let kept: u64 = statistics.iter().map(|s| u64::from(s.kept)).sum();
-    let (support, residuals) = support(&statistics, &tube);
-    DeformedTube {
-        tube,
-        radius_mm,
-        radii_mm: to_f64(&radii),
-        history_mm,
-        travel_mm,
-        residual_mm: residual_mm(&support, &residuals),
-        support,
-        points: section.len() as u64,
-        gated: section.gated,
-        rejected: if settings.iterations == 0 { 0 } else { section.len() as u64 - kept },
+    /// One iteration.
+    pub(super) fn iterate(&mut self) {
+        let Self { tube, filter, groups, radii, statistics, values, .. } = self;
+        measure(groups, tube, filter, radii, &self.chunks, statistics);
+        fill(statistics, tube, values);
+        self.travel_mm.push(update(values, tube, filter, radii).to_f64());
+        if self.keep_history {
+            self.history_mm.push(to_f64(radii));
+        }
     }
+
+    fn into_tube(self) -> DeformedTube {
+        let points = self.groups.points.len() as u64;
+        let kept: u64 = self.statistics.iter().map(|s| u64::from(s.kept)).sum();
+        let (support, residuals) = support(&self.statistics, &self.tube);
+        DeformedTube {
+            tube: self.tube,
+            radius_mm: self.radius_mm,
+            radii_mm: to_f64(&self.radii),
+            rejected: if self.travel_mm.is_empty() { 0 } else { points - kept },
+            history_mm: self.history_mm,
+            travel_mm: self.travel_mm,
+            residual_mm: residual_mm(&support, &residuals),
+            support,
+            points,
+            gated: self.gated,
+        }
+    }
+}
+
+fn to_f64<T: Scalar>(radii: &[T]) -> Vec<f64> {
+    radii.iter().map(|r| r.to_f64()).collect()
 }
 
 /// Residuals as a tube reports them: NaN where there are no points.

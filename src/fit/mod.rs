@@ -14,13 +14,14 @@ pub use auto::AutoEngine;
 pub use cpu::CpuEngine;
 pub use track::{NearFrame, PlacedCylinder, Track};
 
-use crate::Result;
 use crate::geometry::Pose;
 use crate::settings::{Backend, Settings};
 use crate::tube::Tube;
+use crate::{Error, Result};
 use glam::DVec3;
 use passes::Section;
 use serde::Serialize;
+use std::path::Path;
 
 /// What an engine is to do.
 #[derive(Clone, Copy)]
@@ -53,7 +54,7 @@ pub fn merged_frames(frame_count: usize, settings: &Settings) -> Vec<usize> {
 /// The engine that the settings ask for.
 ///
 /// # Errors
-/// [`Error::Gpu`](crate::Error::Gpu) where the settings insist on a device and there is none.
+/// [`Error::Gpu`] where the settings insist on a device and there is none.
 pub fn engine(settings: &Settings) -> Result<Box<dyn Engine>> {
     Ok(match settings.backend {
         Backend::Auto => Box::new(AutoEngine::default()),
@@ -62,6 +63,26 @@ pub fn engine(settings: &Settings) -> Result<Box<dyn Engine>> {
         #[cfg(feature = "gpu")]
         Backend::Gpu => Box::new(gpu::GpuEngine::new(settings.adapter.as_deref())?),
     })
+}
+
+/// Fails where points or a radius that come from outside could not be computed with.
+fn check_section(section: &Section<f32>, radius_mm: f64) -> Result<()> {
+    let fail = |field: &str, found: String, expected: &str| {
+        Err(Error::input(Path::new("section"), field, found, expected))
+    };
+    if !(radius_mm.is_finite() && radius_mm > 0.0) {
+        return fail("radius_mm", radius_mm.to_string(), "more than 0 mm");
+    }
+    let count = section.len();
+    for (field, values) in [("r", &section.r), ("theta", &section.theta), ("z", &section.z)] {
+        if values.len() != count {
+            return fail(field, format!("{} numbers", values.len()), &format!("{count}, as many as r"));
+        }
+        if let Some(point) = values.iter().position(|x| !x.is_finite()) {
+            return fail(field, format!("{} at point {point}", values[point]), "finite numbers");
+        }
+    }
+    Ok(())
 }
 
 /// What an engine says of itself.
@@ -89,10 +110,10 @@ pub trait Engine: Send + Sync {
     /// Where a frame has no cylinder or no points in its section, and where the engine itself fails.
     fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>>;
 
-    /// Fits one tube of that radius to points that already are in its coordinates.
+    /// Fits one tube of that radius to points that already are in its coordinates and within its gate.
     ///
     /// # Errors
-    /// Where the engine itself fails.
+    /// Where a number is not finite or the radius not positive, and where the engine itself fails.
     fn fit_section(
         &self,
         section: &Section<f32>,

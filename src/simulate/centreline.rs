@@ -1,6 +1,7 @@
 //! A curve down the middle of a vessel's branch.
 
 use crate::geometry::{Pose, rotation_minimising_frames};
+use crate::output::write_atomically;
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
@@ -118,6 +119,24 @@ impl Centreline {
                 })
             })
             .collect()
+    }
+
+    /// Writes the centrelines of a vessel as [`Centreline::read_branches`] reads them, with the column `s_mm`, how far
+    /// along its branch a point lies. Numbers carry all their digits.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn write_branches(branches: &[Self], path: &Path) -> Result<()> {
+        write_atomically(path, |out| {
+            writeln!(out, "branch,s_mm,x_mm,y_mm,z_mm,r_inscribed_mm")?;
+            for (number, branch) in branches.iter().enumerate() {
+                let along = branch.arc_length_mm.iter().zip(&branch.inscribed_radius_mm);
+                for (p, (s, radius)) in branch.points_mm.iter().zip(along) {
+                    writeln!(out, "{number},{s},{},{},{},{radius}", p.x, p.y, p.z)?;
+                }
+            }
+            Ok(())
+        })
     }
 
     /// The points that the curve passes through, mm.

@@ -123,11 +123,12 @@ pub enum Shape {
 
 impl Shape {
     /// The names that [`Shape::from_str`] knows.
-    pub const NAMES: [&str; 9] = [
+    pub const NAMES: [&str; 10] = [
         "aorta",
         "cylinder",
         "frustum",
         "arch",
+        "small_arch",
         "stenosis",
         "aneurysm",
         "ellipse",
@@ -161,6 +162,8 @@ impl FromStr for Shape {
             "cylinder" => Shape::Cylinder { radius_mm: 12.0, length_mm: 100.0 },
             "frustum" => Shape::Frustum { start_radius_mm: 14.0, end_radius_mm: 9.0, length_mm: 100.0 },
             "arch" => Shape::Arch { radius_mm: 10.0, bend_radius_mm: 35.0, angle_deg: 120.0 },
+            // A child's, or a smaller vessel's.
+            "small_arch" => Shape::Arch { radius_mm: 4.5, bend_radius_mm: 12.0, angle_deg: 180.0 },
             "stenosis" => Shape::Stenosis {
                 radius_mm: 10.0,
                 throat_radius_mm: 5.5,

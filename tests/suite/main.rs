@@ -10,6 +10,8 @@ mod cylinder_estimate;
 mod evaluate;
 #[cfg(feature = "cli")]
 mod evaluate_command;
+#[cfg(feature = "cli")]
+mod experiments;
 mod golden;
 mod method;
 #[cfg(feature = "cli")]

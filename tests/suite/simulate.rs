@@ -375,6 +375,8 @@ fn vessels_that_cannot_be_used_are_refused_with_a_reason() {
     assert!(metres.contains("looks like metres"), "{metres}");
     let moved = message(damaged(|s| s.nodes_mm.iter_mut().for_each(|p| p.x += 40.0)));
     assert!(moved.contains("branch 0 at 0.5 mm") && moved.contains("outside the vessel"), "{moved}");
+    let sheet = message(damaged(|s| s.nodes_mm.iter_mut().for_each(|p| p.x = 15.0)));
+    assert!(sheet.contains("outside the vessel"), "not a tube: {sheet}");
     assert!(message(damaged(|s| s.triangles.clear())).contains("triangles: found none"));
     assert!(message(damaged(|s| s.triangles[3] = [0, 1, 4_000_000])).contains("triangle 3"));
     assert!(message(damaged(|s| s.nodes_mm[5].y = f64::NAN)).contains("node 5"));
@@ -441,7 +443,7 @@ fn every_shared_vessel_can_be_simulated_in() {
 }
 
 #[test]
-fn centreline_files_that_cannot_be_used_are_refused_with_a_reason() {
+fn centreline_files_read_back_equal_or_are_refused_with_a_reason() {
     let folder = tempfile::tempdir().unwrap();
     let message = |text: &str| {
         let path = folder.path().join("centreline.csv");
@@ -450,6 +452,10 @@ fn centreline_files_that_cannot_be_used_are_refused_with_a_reason() {
     };
     assert!(message("branch,x_mm,y_mm,z_mm\n0,1,2,3\n").contains("missing field `r_inscribed_mm`"));
     assert!(message("branch,x_mm,y_mm,z_mm,r_inscribed_mm\n").contains("rows: found none"));
+    let branches = phantom("bifurcation").branches().to_vec();
+    let written = folder.path().join("written.csv");
+    Centreline::write_branches(&branches, &written).unwrap();
+    assert_eq!(Centreline::read_branches(&written).unwrap(), branches);
     let one = message("branch,x_mm,y_mm,z_mm,r_inscribed_mm\n4,1,2,3,1\n");
     assert!(one.contains("branch 4: centreline: found 1 points"), "{one}");
     let word = message("branch,x_mm,y_mm,z_mm,r_inscribed_mm\n0,1,2,3,1\n0,here,2,3,1\n");

@@ -8,18 +8,20 @@ mod context;
 mod error;
 mod job;
 mod pass;
+mod stages;
 mod workspace;
 
 pub use context::{AdapterDescription, Requirements, adapters};
 pub use error::GpuError;
 pub use job::{DeviceCylinder, DeviceJob, DevicePair};
-pub use pass::{Access, LANES, PASSES, Pass};
+pub use pass::{Access, Items, LANES, PASSES, Pass, Stage};
+pub use stages::CpuStages;
 pub use workspace::Workspace;
 
 use super::cpu::residual_mm;
 use super::passes::Section;
 use super::track::empty_section;
-use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job};
+use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job, check_section};
 use crate::settings::Settings;
 use crate::tube::Tube;
 use crate::{Error, Result};
@@ -38,6 +40,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 pub struct GpuEngine {
     context: Context,
     pipelines: Vec<Pipeline>,
+    cpu_stages: CpuStages,
 }
 
 impl GpuEngine {
@@ -62,7 +65,16 @@ impl GpuEngine {
             .iter()
             .map(|pass| Pipeline::new(&context.device, pass))
             .collect::<Result<Vec<_>, GpuError>>()?;
-        Ok(Self { context, pipelines })
+        Ok(Self { context, pipelines, cpu_stages: CpuStages::None })
+    }
+
+    /// The same engine, but [`fit`](Engine::fit) and [`fit_section`](Engine::fit_section) compute the first
+    /// stages on the CPU. Where a device gives another result than the CPU, the first stage that has to move to
+    /// the CPU for the results to agree is the one that diverges.
+    #[must_use]
+    pub fn with_cpu_stages(mut self, stages: CpuStages) -> Self {
+        self.cpu_stages = stages;
+        self
     }
 
     /// The adapter, where the engine chose it.
@@ -100,6 +112,7 @@ impl GpuEngine {
     /// Where settings are invalid, and [`Error::Gpu`] where the job does not fit the device.
     pub fn prepare(&self, points: u32, radius_mm: f64, settings: &Settings) -> Result<Workspace> {
         settings.validate()?;
+        check_section(&Section::default(), radius_mm)?;
         let points = Points::Section { count: points };
         Ok(Workspace::new(&self.context, &self.pipelines, settings, &[radius_mm], &points, false)?)
     }
@@ -109,7 +122,8 @@ impl GpuEngine {
     /// # Errors
     /// [`Error::Gpu`] where the device refuses a pipeline.
     pub fn record(&self, workspace: &Workspace, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
-        Ok(workspace.record(&self.context, &self.pipelines, encoder, false, &mut |_| None)?)
+        Ok(workspace
+            .record(&self.context, &self.pipelines, encoder, CpuStages::None, false, &mut |_| None)?)
     }
 
     /// As [`GpuEngine::record`], each pass in a compute pass of its own with the timestamps that `timer` gives
@@ -124,7 +138,7 @@ impl GpuEngine {
         timer: &mut (dyn FnMut(&'static str) -> Option<wgpu::ComputePassTimestampWrites<'a>> + 'a),
     ) -> Result<()> {
         let timer: &mut Timer<'a> = timer;
-        Ok(workspace.record(&self.context, &self.pipelines, encoder, false, timer)?)
+        Ok(workspace.record(&self.context, &self.pipelines, encoder, CpuStages::None, false, timer)?)
     }
 
     /// Device memory for the cylinders of a job, a workspace a batch, with the points on the device.
@@ -139,6 +153,8 @@ impl GpuEngine {
 
     /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back: how a pass is
     /// compared with its twin on identical inputs.
+    ///
+    /// Outputs that are not among the inputs are filled with ones before, so that what a pass leaves out shows.
     ///
     /// # Errors
     /// [`Error::Gpu`] where there is no such pass or buffer, or the device fails.
@@ -155,6 +171,10 @@ impl GpuEngine {
         let pipeline = pipeline.ok_or_else(|| unknown(pass))?;
         for name in inputs.iter().map(|(name, _)| name).chain(outputs) {
             workspace.has(name).then_some(()).ok_or_else(|| unknown(name))?;
+        }
+        for name in outputs {
+            let ones = vec![0xff; workspace.buffer(name).size() as usize];
+            checked(&self.context.device, name, || workspace.write(&self.context, name, &ones))?;
         }
         for (name, bytes) in inputs {
             checked(&self.context.device, name, || workspace.write(&self.context, name, bytes))?;
@@ -203,10 +223,12 @@ impl GpuEngine {
         }
         self.context.wait(submission, PATIENCE)?;
         for _ in &copies {
-            match receiver.try_recv() {
+            // Where several threads use the device, another one's wait may be the one that tells of our results,
+            // a moment after ours has returned.
+            match receiver.recv_timeout(PATIENCE) {
                 Ok(Ok(())) => {}
                 Ok(Err(error)) => return Err(GpuError::Lost { reason: error.to_string() }),
-                Err(_) => return Err(GpuError::Lost { reason: "a result was not mapped".into() }),
+                Err(_) => return Err(GpuError::Timeout { seconds: PATIENCE.as_secs() }),
             }
         }
         copies
@@ -218,18 +240,29 @@ impl GpuEngine {
             .collect()
     }
 
-    /// Runs a workspace and takes its tubes apart.
+    /// Runs a workspace and takes its tubes apart; with the sections of its cylinders, after the CPU's stages.
     fn tubes(
         &self,
         workspace: &Workspace,
         settings: &Settings,
         radii_mm: &[f64],
         history: bool,
+        sections: Option<&[Section<f32>]>,
     ) -> Result<Vec<DeformedTube>, GpuError> {
+        let done = match sections {
+            None => CpuStages::None,
+            Some(_) => self.cpu_stages.up_to(settings.iterations),
+        };
+        let begun = match sections {
+            None => Vec::new(),
+            Some(sections) => {
+                stages::begin(&self.context, workspace, done, settings, radii_mm, history, sections)?
+            }
+        };
         let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "history"];
         let names = if history { &names[..] } else { &names[..6] };
         let read = self.run(workspace, names, |encoder| {
-            workspace.record(&self.context, &self.pipelines, encoder, history, &mut |_| None)
+            workspace.record(&self.context, &self.pipelines, encoder, done, history, &mut |_| None)
         })?;
         let words = |k: usize| bytemuck::pod_collect_to_vec::<u8, u32>(&read[k]);
         let numbers = |k: usize| bytemuck::pod_collect_to_vec::<u8, f32>(&read[k]);
@@ -240,7 +273,7 @@ impl GpuEngine {
         let (count, iterations) = (tube.node_count(), settings.iterations as usize);
         let stride = workspace.travel_stride() as usize / 4;
         let to_f64 = |r: &[f32]| r.iter().map(|&r| f64::from(r)).collect::<Vec<f64>>();
-        Ok(radii_mm
+        let mut tubes: Vec<DeformedTube> = radii_mm
             .iter()
             .enumerate()
             .map(|(c, &radius_mm)| {
@@ -270,7 +303,11 @@ impl GpuEngine {
                     rejected: if iterations == 0 { 0 } else { points - kept },
                 }
             })
-            .collect())
+            .collect();
+        for (tube, begun) in tubes.iter_mut().zip(begun) {
+            begun.enter_into(tube);
+        }
+        Ok(tubes)
     }
 }
 
@@ -301,19 +338,31 @@ impl GpuEngine {
         let limits = self.context.device.limits();
         let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         let tube = Tube::new(job.settings);
-        // The largest arrays: 12 bytes a slot, 24 a face, 4 a node for each iteration of the history.
+        // What grows fastest with each of them: 12 bytes a slot, 24 a face, 4 a node for each iteration of the
+        // history, and what the pairs and their frames' points take.
         let history = if job.history { 4 * (u64::from(job.settings.iterations) + 1) } else { 4 };
-        let fits = |slots: u64, cylinders: u64| {
+        let fits = |slots: u64, cylinders: u64, pairs: usize, points: &Range<usize>| {
             12 * slots <= most_bytes
                 && 24 * cylinders * tube.face_count() as u64 <= most_bytes
                 && history * cylinders * tube.node_count() as u64 <= limits.max_buffer_size
+                && (size_of::<DevicePair>() * pairs) as u64 <= most_bytes
+                && 8 * points.len() as u64 <= most_bytes
                 && cylinders <= 65_535
+        };
+        let span = |a: &Range<usize>, b: &Range<usize>| match (a.is_empty(), b.is_empty()) {
+            (true, _) => b.clone(),
+            (_, true) => a.clone(),
+            _ => a.start.min(b.start)..a.end.max(b.end),
         };
         let mut batches: Vec<Batch> = Vec::new();
         let mut slots = 0;
         for (k, (radius_mm, pairs)) in near.into_iter().enumerate() {
             let own: u64 = pairs.iter().map(|p| p.echoes.len() as u64).sum();
-            let open = batches.last().is_some_and(|b| fits(slots + own, b.radii_mm.len() as u64 + 1));
+            let own_points = pairs.iter().fold(0..0, |all, p| span(&all, &p.echoes));
+            let open = batches.last().is_some_and(|b| {
+                let cylinders = b.radii_mm.len() as u64 + 1;
+                fits(slots + own, cylinders, b.pairs.len() + pairs.len(), &span(&b.points, &own_points))
+            });
             if !open {
                 batches.push(Batch { members: k..k, radii_mm: vec![], pairs: vec![], points: 0..0 });
                 slots = 0;
@@ -326,11 +375,8 @@ impl GpuEngine {
                 let slot = u32::try_from(slots).unwrap_or(u32::MAX);
                 batch.pairs.push(DevicePair::new(&pair.cylinder_from_probe, cylinder, first, count, slot));
                 slots += u64::from(count);
-                batch.points = match batch.points.is_empty() {
-                    true => pair.echoes.clone(),
-                    false => batch.points.start.min(pair.echoes.start)..batch.points.end.max(pair.echoes.end),
-                };
             }
+            batch.points = span(&batch.points, &own_points);
             batch.radii_mm.push(radius_mm);
             batch.members.end = k + 1;
         }
@@ -350,9 +396,19 @@ impl GpuEngine {
         Ok(Workspace::new(context, pipelines, job.settings, &batch.radii_mm, &points, job.history)?)
     }
 
+    /// The sections of a batch's cylinders, from the CPU.
+    fn sections(&self, job: &Job, batch: &Batch) -> Result<Vec<Section<f32>>> {
+        job.frames[batch.members.clone()].par_iter().map(|&k| job.track.section(k, job.settings)).collect()
+    }
+
     fn fit_batch(&self, job: &Job, batch: &Batch) -> Result<Vec<FittedCylinder>> {
         let workspace = self.workspace_of(job, batch)?;
-        let tubes = self.tubes(&workspace, job.settings, &batch.radii_mm, job.history)?;
+        let sections = match self.cpu_stages {
+            CpuStages::None => None,
+            _ => Some(self.sections(job, batch)?),
+        };
+        let (settings, radii_mm) = (job.settings, &batch.radii_mm);
+        let tubes = self.tubes(&workspace, settings, radii_mm, job.history, sections.as_deref())?;
         let fitted = tubes.into_iter().zip(&job.frames[batch.members.clone()]).map(|(tube, &frame)| {
             if tube.points == 0 {
                 return Err(empty_section(frame, tube.radius_mm, tube.gated, job.settings));
@@ -385,6 +441,7 @@ impl Engine for GpuEngine {
         radius_mm: f64,
         settings: &Settings,
     ) -> Result<DeformedTube> {
+        check_section(section, radius_mm)?;
         let count = u32::try_from(section.len()).map_err(|_| GpuError::TooLarge {
             name: "section".into(),
             needed: 12 * section.len() as u64,
@@ -394,7 +451,8 @@ impl Engine for GpuEngine {
         let rows: Vec<[f32; 3]> =
             (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
         workspace.write(&self.context, "section", bytemuck::cast_slice(&rows));
-        let mut tubes = self.tubes(&workspace, settings, &[radius_mm], false)?;
+        let sections = (self.cpu_stages != CpuStages::None).then(|| std::slice::from_ref(section));
+        let mut tubes = self.tubes(&workspace, settings, &[radius_mm], false, sections)?;
         let Some(mut tube) = tubes.pop() else {
             return Err(GpuError::Lost { reason: "no result".into() }.into());
         };

@@ -16,6 +16,44 @@ pub enum Access {
     Write,
 }
 
+/// When a pass runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Once, to bring points into tubes.
+    Project,
+    /// Once, to group them by face.
+    Group,
+    /// Once, to find the long faces.
+    Classify,
+    /// In every iteration.
+    Iterate,
+    /// Once, after the last iteration.
+    Support,
+}
+
+/// What a pass has a workgroup or an invocation for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Items {
+    /// A workgroup a pair of cylinder and frame.
+    Pairs,
+    /// An invocation a point before the gate.
+    Slots,
+    /// A workgroup for every 1024 faces of the batch.
+    Blocks,
+    /// One workgroup.
+    One,
+    /// An invocation a face of the batch.
+    AllFaces,
+    /// [`LANES`] invocations a face, cylinder by cylinder.
+    ShortFaces,
+    /// A workgroup a long face at a time.
+    LongFaces,
+    /// An invocation a face, cylinder by cylinder.
+    Faces,
+    /// An invocation a node, cylinder by cylinder.
+    Nodes,
+}
+
 /// A row of the pass table.
 #[derive(Debug)]
 pub struct Pass {
@@ -29,6 +67,10 @@ pub struct Pass {
     pub bindings: &'static [(&'static str, Access)],
     /// Invocations a workgroup.
     pub workgroup_size: u32,
+    /// When it runs.
+    pub stage: Stage,
+    /// What its workgroups are for.
+    pub items: Items,
 }
 
 const JOB: &str = include_str!("../../../shaders/common/job.wgsl");
@@ -37,39 +79,42 @@ const DISTANCE: &str = include_str!("../../../shaders/common/distance.wgsl");
 const FILTER: &str = include_str!("../../../shaders/common/filter.wgsl");
 
 macro_rules! pass {
-    ($name:literal, $size:literal, [$($common:ident),*], [$($binding:literal: $access:ident),* $(,)?]) => {
+    ($name:literal, $stage:ident, $items:ident, $size:literal, [$($common:ident),*],
+     [$($binding:literal: $access:ident),* $(,)?]) => {
         Pass {
             name: $name,
             own_source: include_str!(concat!("../../../shaders/", $name, ".wgsl")),
             common: &[JOB, $($common),*],
             bindings: &[("job", Access::Uniform), $(($binding, Access::$access)),*],
             workgroup_size: $size,
+            stage: Stage::$stage,
+            items: Items::$items,
         }
     };
 }
 
-/// Every pass, in the order in which they run; those from `measure_short` to `update` once an iteration.
+/// Every pass, in the order in which they run.
 pub static PASSES: [Pass; 13] = [
-    pass!("project", 64, [ANGLE], [
+    pass!("project", Project, Pairs, 64, [ANGLE], [
         "cylinders": Read, "points": Read, "pairs": Read, "section": Write, "owners": Write, "gated": Write,
     ]),
-    pass!("bin", 256, [], ["section": Read, "owners": Read, "counts": Write, "places": Write]),
-    pass!("scan_reduce", 256, [], ["counts": Read, "block_sums": Write]),
-    pass!("scan_spine", 256, [], ["block_sums": Write]),
-    pass!("scan_downsweep", 256, [], ["counts": Read, "block_sums": Read, "offsets": Write]),
-    pass!("scatter", 256, [], ["section": Read, "places": Read, "offsets": Read, "grouped": Write]),
-    pass!("classify", 256, [], ["offsets": Read, "long_faces": Write]),
-    pass!("measure_short", 128, [DISTANCE, FILTER], [
+    pass!("bin", Group, Slots, 256, [], ["section": Read, "owners": Read, "counts": Write, "places": Write]),
+    pass!("scan_reduce", Group, Blocks, 256, [], ["counts": Read, "block_sums": Write]),
+    pass!("scan_spine", Group, One, 256, [], ["block_sums": Write]),
+    pass!("scan_downsweep", Group, Blocks, 256, [], ["counts": Read, "block_sums": Read, "offsets": Write]),
+    pass!("scatter", Group, Slots, 256, [], ["section": Read, "places": Read, "offsets": Read, "grouped": Write]),
+    pass!("classify", Classify, AllFaces, 256, [], ["offsets": Read, "long_faces": Write]),
+    pass!("measure_short", Iterate, ShortFaces, 128, [DISTANCE, FILTER], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
     ]),
-    pass!("measure_long", 256, [DISTANCE, FILTER], [
+    pass!("measure_long", Iterate, LongFaces, 256, [DISTANCE, FILTER], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
         "long_faces": Read, "keys": Write,
     ]),
-    pass!("fill_bottom", 64, [], ["statistics": Read, "values": Write]),
-    pass!("fill_top", 64, [], ["statistics": Read, "values": Write]),
-    pass!("update", 64, [FILTER], ["cylinders": Read, "values": Read, "radii": Write, "travels": Write]),
-    pass!("support", 64, [], [
+    pass!("fill_bottom", Iterate, Faces, 64, [], ["statistics": Read, "values": Write]),
+    pass!("fill_top", Iterate, Faces, 64, [], ["statistics": Read, "values": Write]),
+    pass!("update", Iterate, Nodes, 64, [FILTER], ["cylinders": Read, "values": Read, "radii": Write, "travels": Write]),
+    pass!("support", Support, Nodes, 64, [], [
         "statistics": Read, "support": Write, "residuals": Write, "tallies": Write,
         "offsets": Read,
     ]),
@@ -164,7 +209,7 @@ impl Pipeline {
 
     /// The pipeline itself; `lanes` matters to `measure_short` alone.
     pub(super) fn get(&self, device: &wgpu::Device, lanes: u32) -> Result<&wgpu::ComputePipeline, GpuError> {
-        let many = self.pass.name == "measure_short";
+        let many = self.pass.items == Items::ShortFaces;
         let variant = if many { LANES.iter().position(|&l| l == lanes).unwrap_or(0) } else { 0 };
         let cell = &self.variants[variant];
         if let Some(pipeline) = cell.get() {

@@ -1,8 +1,8 @@
 //! The buffers of a batch and the recording of its passes.
 
 use super::context::{Context, checked};
-use super::pass::{LANES, Pipeline};
-use super::{DeviceCylinder, DeviceJob, DevicePair, GpuError};
+use super::pass::{Items, LANES, Pass, Pipeline, Stage};
+use super::{CpuStages, DeviceCylinder, DeviceJob, DevicePair, GpuError};
 use crate::settings::Settings;
 use std::collections::BTreeMap;
 
@@ -16,7 +16,7 @@ pub(super) enum Points<'a> {
 
 /// The device memory of a batch of cylinders that are fitted together.
 ///
-/// [`Workspace::record`] puts the whole fit into a command encoder: nothing is submitted, waited for or read
+/// [`GpuEngine::record`](super::GpuEngine::record) puts the whole fit into a command encoder: nothing is submitted, waited for or read
 /// back behind the caller's back, and it can be recorded again for new points of the same number.
 pub struct Workspace {
     job: DeviceJob,
@@ -100,21 +100,27 @@ impl Workspace {
         };
         let lanes = lanes(slots, faces);
         let cylinders = radii_mm.len() as u32;
-        let job = DeviceJob::new(settings, cylinders, slots as u32, pairs, lanes);
+        // Slots are numbered in u32, whatever the device could hold.
+        let slot_count = u32::try_from(slots).map_err(|_| GpuError::TooLarge {
+            name: "section".into(),
+            needed: 12 * slots,
+            allowed: 12 * u64::from(u32::MAX),
+        })?;
+        let job = DeviceJob::new(settings, cylinders, slot_count, pairs, lanes);
         let limits = context.device.limits();
         let alignment = u64::from(limits.min_storage_buffer_offset_alignment);
         let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
         let sizes = sizes(&job, point_count, settings.iterations, history, travel_stride);
         let bytes = sizes.iter().map(|(_, size)| size).sum();
-        for (name, size) in &sizes {
-            let allowed = match *name {
-                "history" => limits.max_buffer_size,
-                _ => limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
-            };
-            if *size > allowed {
-                return Err(GpuError::TooLarge { name: (*name).into(), needed: *size, allowed });
-            }
+        let allowed = |name: &str| match name {
+            "history" => limits.max_buffer_size,
+            _ => limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+        };
+        let too_large = sizes.iter().rev().filter(|(name, size)| *size > allowed(name));
+        if let Some((name, needed)) = too_large.max_by_key(|(_, size)| size) {
+            return Err(GpuError::TooLarge { name: (*name).into(), needed: *needed, allowed: allowed(name) });
         }
+        context.alive()?;
 
         let device = &context.device;
         let buffers: BTreeMap<&'static str, wgpu::Buffer> = checked(device, "buffers", || {
@@ -239,48 +245,45 @@ impl Workspace {
         &self.buffers["radii"]
     }
 
-    /// Bytes that a pass must read and write in a whole fit, each input once and each output once.
-    pub fn bytes_of(&self, pass: &str) -> u64 {
-        let [slots, faces, nodes] = [
-            u64::from(self.job.slots),
-            u64::from(self.job.cylinders) * u64::from(self.job.faces),
-            u64::from(self.job.cylinders) * u64::from(self.job.node_count),
-        ];
-        let iterations = u64::from(self.iterations);
-        match pass {
-            "project" => (8 + 16) * slots,
-            "bin" => (8 + 8) * slots + 4 * faces,
-            "scan_reduce" | "classify" => 4 * faces,
-            "scan_downsweep" => 8 * faces,
-            "scatter" => (12 + 8 + 12) * slots + 4 * faces,
-            "measure_short" => iterations * (12 * slots + (4 + 24) * faces + 4 * nodes),
-            // Keys are written once and read once a round: four rounds and the sums.
-            "measure_long" => iterations * (12 + 4 + 5 * 4) * slots,
-            "fill_bottom" | "fill_top" => iterations * (12 + 4) * faces,
-            "update" => iterations * (8 * faces + 8 * nodes),
-            "support" => 24 * faces + 8 * nodes,
-            _ => 0,
-        }
-    }
-
     /// How many workgroups a pass needs: two dimensions and the cylinders.
-    fn groups(&self, pass: &str) -> [u32; 3] {
-        let job = &self.job;
+    fn groups(&self, pass: &Pass) -> [u32; 3] {
+        let (job, size) = (&self.job, pass.workgroup_size);
         let all_faces = job.cylinders * job.faces;
-        let (count, layers) = match pass {
-            "project" => (job.pairs, 1),
-            "bin" | "scatter" => (job.slots.div_ceil(256), 1),
-            "scan_reduce" | "scan_downsweep" => (all_faces.div_ceil(1024), 1),
-            "scan_spine" => (1, 1),
-            "classify" => (all_faces.div_ceil(256), 1),
-            "measure_short" => (job.faces.div_ceil(128 / self.lanes), job.cylinders),
-            "measure_long" => (self.long_groups, 1),
-            "fill_bottom" | "fill_top" => (job.faces.div_ceil(64), job.cylinders),
-            _ => (job.node_count.div_ceil(64), job.cylinders),
+        let (count, layers) = match pass.items {
+            Items::Pairs => (job.pairs, 1),
+            Items::Slots => (job.slots.div_ceil(size), 1),
+            Items::Blocks => (all_faces.div_ceil(1024), 1),
+            Items::One => (1, 1),
+            Items::AllFaces => (all_faces.div_ceil(size), 1),
+            Items::ShortFaces => (job.faces.div_ceil(size / self.lanes), job.cylinders),
+            Items::LongFaces => (self.long_groups, 1),
+            Items::Faces => (job.faces.div_ceil(size), job.cylinders),
+            Items::Nodes => (job.node_count.div_ceil(size), job.cylinders),
         };
         // A dimension holds 65,535 at most.
         let rows = count.div_ceil(65_535).max(1);
         [count.div_ceil(rows), if count == 0 { 0 } else { rows }, layers]
+    }
+
+    /// Puts one pass into a compute pass; one without work is left out.
+    fn dispatch(
+        &self,
+        context: &Context,
+        pipeline: &Pipeline,
+        iteration: u32,
+        compute: &mut wgpu::ComputePass,
+    ) -> Result<(), GpuError> {
+        let [x, y, z] = self.groups(pipeline.pass);
+        let bind_groups = &self.bind_groups[pipeline.pass.name];
+        // All but `update` bind the same in every iteration.
+        if x > 0
+            && let Some(bind_group) = bind_groups.get(iteration as usize).or(bind_groups.first())
+        {
+            compute.set_pipeline(pipeline.get(&context.device, self.lanes)?);
+            compute.set_bind_group(0, bind_group, &[]);
+            compute.dispatch_workgroups(x, y, z);
+        }
+        Ok(())
     }
 
     /// Records one pass alone (`update` as of the first iteration), on what the buffers hold.
@@ -290,29 +293,32 @@ impl Workspace {
         pipeline: &Pipeline,
         encoder: &mut wgpu::CommandEncoder,
     ) -> Result<(), GpuError> {
-        let [x, y, z] = self.groups(pipeline.pass.name);
-        let mut compute = encoder.begin_compute_pass(&Default::default());
-        compute.set_pipeline(pipeline.get(&context.device, self.lanes)?);
-        compute.set_bind_group(0, &self.bind_groups[pipeline.pass.name][0], &[]);
-        compute.dispatch_workgroups(x, y, z);
-        Ok(())
+        self.dispatch(context, pipeline, 0, &mut encoder.begin_compute_pass(&Default::default()))
     }
 
-    /// Records the whole fit: grouping, all iterations, support. The section buffer must hold the points.
+    /// Records the fit behind the stages that ran on the CPU and whose results the buffers hold: grouping, all
+    /// iterations, support. With [`CpuStages::None`] the section buffer of a single tube must hold its points.
     pub(super) fn record(
         &self,
         context: &Context,
         pipelines: &[Pipeline],
         encoder: &mut wgpu::CommandEncoder,
+        done: CpuStages,
         history: bool,
         timer: &mut Timer,
     ) -> Result<(), GpuError> {
-        for name in ["counts", "gated", "travels", "tallies", "statistics"] {
+        for name in ["counts", "travels", "tallies"] {
             encoder.clear_buffer(&self.buffers[name], 0, None);
         }
         encoder.clear_buffer(&self.buffers["long_faces"], 0, Some(4));
-        let radii_bytes = self.buffers["radii"].size();
-        encoder.copy_buffer_to_buffer(&self.buffers["primitive"], 0, self.radii(), 0, Some(radii_bytes));
+        if done < CpuStages::Project {
+            encoder.clear_buffer(&self.buffers["gated"], 0, None);
+        }
+        if done.iterations() == 0 {
+            encoder.clear_buffer(&self.buffers["statistics"], 0, None);
+            let radii_bytes = self.buffers["radii"].size();
+            encoder.copy_buffer_to_buffer(&self.buffers["primitive"], 0, self.radii(), 0, Some(radii_bytes));
+        }
         let keep = |encoder: &mut wgpu::CommandEncoder, iteration: u32| {
             if history {
                 let bytes = 4 * u64::from(self.job.cylinders) * u64::from(self.job.node_count);
@@ -321,18 +327,20 @@ impl Workspace {
             }
         };
         keep(encoder, 0);
-        let is_iterated = |name: &str| matches!(name, n if n.starts_with("measure") || n.starts_with("fill") || n == "update");
-        let once_before = pipelines.iter().filter(|p| !is_iterated(p.pass.name) && p.pass.name != "support");
-        let iterated: Vec<_> = pipelines.iter().filter(|p| is_iterated(p.pass.name)).collect();
-        let mut steps: Vec<(&Pipeline, u32)> = once_before.map(|p| (p, 0)).collect();
-        for iteration in 0..self.iterations {
-            steps.extend(iterated.iter().map(|&p| (p, iteration)));
-        }
-        steps.extend(pipelines.iter().filter(|p| p.pass.name == "support").map(|p| (p, 0)));
+        let is_done = |stage: Stage| match stage {
+            Stage::Project => self.job.single == 1 || done >= CpuStages::Project,
+            Stage::Group => done >= CpuStages::Group,
+            _ => false,
+        };
+        let of = |stage: Stage| pipelines.iter().filter(move |p| p.pass.stage == stage && !is_done(stage));
+        let before = [Stage::Project, Stage::Group, Stage::Classify].into_iter().flat_map(of).map(|p| (p, 0));
+        let iterations = done.iterations()..self.iterations;
+        let iterated = iterations.flat_map(|i| of(Stage::Iterate).map(move |p| (p, i)));
+        let after = of(Stage::Support).map(|p| (p, 0));
 
-        let mut steps = steps.into_iter().peekable();
-        while steps.peek().is_some() {
-            let timestamp_writes = steps.peek().and_then(|(p, _)| timer(p.pass.name));
+        let mut steps = before.chain(iterated).chain(after).peekable();
+        while let Some((first, _)) = steps.peek() {
+            let timestamp_writes = timer(first.pass.name);
             let timed = timestamp_writes.is_some();
             let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                 label: Some("lumenmesh fit"),
@@ -340,22 +348,11 @@ impl Workspace {
             });
             let mut finished = None;
             for (pipeline, iteration) in steps.by_ref() {
-                let name = pipeline.pass.name;
-                let [x, y, z] = self.groups(name);
-                if x > 0 && !(name == "project" && self.job.single == 1) {
-                    compute.set_pipeline(pipeline.get(&context.device, self.lanes)?);
-                    compute.set_bind_group(
-                        0,
-                        &self.bind_groups[name][iteration as usize % self.bind_groups[name].len()],
-                        &[],
-                    );
-                    compute.dispatch_workgroups(x, y, z);
-                }
+                self.dispatch(context, pipeline, iteration, &mut compute)?;
+                let ends_iteration = pipeline.pass.name == "update";
+                finished = ends_iteration.then_some(iteration + 1);
                 // A timed pass stands alone; the history is copied between iterations.
-                if name == "update" && history {
-                    finished = Some(iteration + 1);
-                }
-                if timed || finished.is_some() {
+                if timed || (history && ends_iteration) {
                     break;
                 }
             }

@@ -32,8 +32,9 @@ impl<T: Scalar> Filter<T> {
     }
 }
 
-/// What a triangle's points say.
+/// What a triangle's points say. In f32 it is laid out as the shaders' structure of that name.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[repr(C)]
 pub struct TriangleStatistic<T> {
     /// Mean or median of the kept signed distances, mm; 0 where there are none.
     pub value: T,

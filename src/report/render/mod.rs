@@ -14,7 +14,8 @@ use crate::surface::Surface;
 use crate::{Error, Result, output};
 use canvas::{Canvas, Colour, Sheet};
 use glam::{DVec2, DVec3};
-use scale::{label, round_down, ticks};
+pub(super) use scale::label;
+use scale::{round_down, ticks};
 use std::path::Path;
 
 /// From where a mesh is looked at.
@@ -70,15 +71,18 @@ impl Picture {
     /// [`Error::UnknownEnding`] for another ending, [`Error::Write`]; no partial file is left behind.
     pub fn write(&self, path: &Path) -> Result<()> {
         check_ending(path)?;
-        output::write_atomically(path, |w| {
-            let mut encoder = png::Encoder::new(w, self.width, self.height);
-            encoder.set_color(png::ColorType::Rgb);
-            encoder.set_depth(png::BitDepth::Eight);
-            encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
-            let mut writer = encoder.write_header()?;
-            writer.write_image_data(&self.rgb)?;
-            Ok(writer.finish()?)
-        })
+        output::write_atomically(path, |w| self.encode(w))
+    }
+
+    /// The picture as the bytes of a PNG file.
+    pub(super) fn encode(&self, out: impl std::io::Write) -> std::io::Result<()> {
+        let mut encoder = png::Encoder::new(out, self.width, self.height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&self.rgb)?;
+        Ok(writer.finish()?)
     }
 }
 

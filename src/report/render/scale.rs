@@ -18,7 +18,7 @@ pub(super) fn ticks(low: f64, high: f64) -> (f64, Vec<f64>) {
 }
 
 /// A multiple of `step` with as many decimals as that needs.
-pub(super) fn label(value: f64, step: f64) -> String {
+pub(in crate::report) fn label(value: f64, step: f64) -> String {
     if !(1e-4..1e6).contains(&step) {
         return format!("{value:.1e}");
     }

@@ -1,0 +1,98 @@
+use super::settings::SettingsArguments;
+use super::{print_json, progress};
+use crate::evaluate::{Coverage, Truth, evaluate_covered};
+use crate::fit::{engine, merged_frames};
+use crate::output::{ending, write_atomically};
+use crate::reconstruction::Reconstruction;
+use crate::recording::Recording;
+use crate::report::{Subject, html};
+use crate::surface::Surface;
+use crate::{Error, Result};
+use std::path::PathBuf;
+
+/// Reconstruct a recording and show how well it went, as one HTML page
+///
+/// The page needs neither network nor scripts: summary, convergence, error distribution, the vessel in colours from
+/// three sides, coverage, noise, settings.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  lumenmesh report pullback.mat -o report.html
+  lumenmesh report recording/ --truth wall.vtp -o report.html --nodes 24 --levels 8")]
+pub(super) struct Arguments {
+    /// Recording: a MATLAB .mat file (v5, v7) or a folder of CSV files
+    #[arg(value_name = "REC")]
+    recording: PathBuf,
+    /// The vessel's wall, where it is known: the page then shows errors
+    #[arg(long, value_name = "SURFACE")]
+    truth: Option<PathBuf>,
+    /// Page to write: .html
+    #[arg(short, long, value_name = "HTML")]
+    output: PathBuf,
+    /// Print the numbers as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    settings: SettingsArguments,
+}
+
+impl Arguments {
+    pub(super) fn run(self) -> Result<()> {
+        let settings = self.settings.settings()?;
+        if ending(&self.output) != "html" {
+            let ending = ending(&self.output);
+            return Err(Error::UnknownEnding { path: self.output, ending, expected: ".html" });
+        }
+        let recording = Recording::read(&self.recording)?;
+        let truth = self.truth.as_deref().map(|path| Truth::new(Surface::read(path)?)).transpose()?;
+        let engine = engine(&settings)?;
+        let bar = progress::bar("fitting cylinders", merged_frames(recording.frames.len(), &settings).len());
+        let done = Reconstruction::new(&recording, &settings, &*engine, truth.is_some(), &|n| {
+            bar.inc(n as u64);
+        });
+        bar.finish_and_clear();
+        let reconstruction = done.map_err(|e| e.in_file(&self.recording))?;
+        let evaluation = truth
+            .as_ref()
+            .map(|truth| {
+                let sensor_from_probe = settings.calibration.sensor_from_probe();
+                let coverage =
+                    Coverage::of(&recording, sensor_from_probe, truth.surface(), Coverage::WITHIN_MM)?;
+                evaluate_covered(&reconstruction.vessel.surface(), truth, &coverage)
+            })
+            .transpose()?;
+        let name = self
+            .recording
+            .file_name()
+            .map_or_else(|| self.recording.display().to_string(), |name| name.to_string_lossy().into_owned());
+        let page = html(&Subject {
+            title: &format!("Reconstruction of {name}"),
+            recording: &recording,
+            settings: &settings,
+            reconstruction: &reconstruction,
+            measured: truth.as_ref().zip(evaluation.as_ref()),
+            command: &typed(),
+        })?;
+        write_atomically(&self.output, |w| w.write_all(page.as_bytes()))?;
+        if self.json {
+            return print_json(&serde_json::json!({
+                "recording": self.recording,
+                "page": self.output,
+                "report": reconstruction.report,
+                "evaluation": evaluation,
+            }));
+        }
+        super::reconstruct::print_report(&reconstruction.report);
+        if let Some(evaluation) = &evaluation {
+            println!("error      {:.4} mm (mean, nodes to truth)", evaluation.mesh_to_truth.mean_mm);
+        }
+        println!("page       {}", self.output.display());
+        Ok(())
+    }
+}
+
+/// The command as it was typed.
+fn typed() -> String {
+    let arguments = std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned());
+    let quoted = arguments.map(|a| if a.contains(' ') { format!("'{a}'") } else { a });
+    std::iter::once("lumenmesh".into()).chain(quoted).collect::<Vec<String>>().join(" ")
+}

@@ -1,0 +1,54 @@
+//! Stages on the CPU: where the device takes over must not show.
+
+use crate::cylinders::{assert_agree, assert_all_agree, assert_same};
+use crate::device::{device, open};
+use crate::sections::{RADIUS_MM, recording, wall};
+use lumenmesh::fit::gpu::CpuStages;
+use lumenmesh::fit::{Engine, Job, Track};
+use lumenmesh::settings::{Settings, Statistic};
+
+const STAGES: [CpuStages; 7] = [
+    CpuStages::None,
+    CpuStages::Project,
+    CpuStages::Group,
+    CpuStages::Iterations(1),
+    CpuStages::Iterations(2),
+    CpuStages::Iterations(3),
+    CpuStages::Iterations(99),
+];
+
+#[test]
+fn the_device_may_take_over_after_any_stage() {
+    let (Some(device), Some(mut other)) = (device(), open()) else { return };
+    let recording = recording(40, 150, 113);
+    for statistic in [Statistic::Mean, Statistic::Median] {
+        let settings = Settings { nodes: 24, levels: 8, statistic, ..Settings::default() };
+        let track = Track::of(&recording, &settings).unwrap();
+        let job = Job { history: true, ..Job::new(&track, &[9, 19, 29, 39], &settings) };
+        let expected = device.engine.fit(&job).unwrap();
+        let section = wall(5_000, 127);
+        let expected_tube = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+        for stages in STAGES {
+            other.engine = other.engine.with_cpu_stages(stages);
+            assert_all_agree(device, &other.engine.fit(&job).unwrap(), &expected);
+            let tube = other.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+            assert_agree(device, &tube, &expected_tube);
+        }
+    }
+}
+
+#[test]
+fn the_cpu_s_stages_do_take_part() {
+    let Some(mut device) = open() else { return };
+    let settings = Settings { iterations: 1, ..Settings::default() };
+    let section = wall(2_000, 131);
+    device.engine = device.engine.with_cpu_stages(CpuStages::Iterations(1));
+    // With every iteration on the CPU a device that has no iteration to do gives the CPU's, to the bit.
+    let tube = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+    let cpu = lumenmesh::fit::CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
+    assert_eq!(tube.radii_mm, cpu.radii_mm);
+    assert_eq!(tube.travel_mm, cpu.travel_mm);
+    if device.exact {
+        assert_same(&tube, &cpu);
+    }
+}

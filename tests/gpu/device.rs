@@ -1,0 +1,93 @@
+//! The device of these tests, and single passes run on it.
+
+use lumenmesh::fit::gpu::{GpuEngine, Workspace, adapters};
+use std::io::Write;
+use std::sync::OnceLock;
+
+/// What a buffer holds before a pass writes it.
+pub const POISON: u32 = u32::MAX;
+
+/// An engine, and whether its device computes f32 exactly as the CPU does.
+pub struct Device {
+    pub engine: GpuEngine,
+    /// Mesa's software device rounds and fuses as the twins do, so that its results are theirs to the bit.
+    pub exact: bool,
+}
+
+/// Says something even where the test passes, when what `eprintln` writes is not shown.
+pub fn say(text: &str) {
+    let mut unseen_by_the_test_harness = std::io::stderr().lock();
+    writeln!(unseen_by_the_test_harness, "{text}").unwrap();
+}
+
+/// The device, once for all tests; `None`, said loudly, where there is none.
+pub fn device() -> Option<&'static Device> {
+    static DEVICE: OnceLock<Option<Device>> = OnceLock::new();
+    DEVICE.get_or_init(open).as_ref()
+}
+
+/// An engine of its own, for a test that does harm to its device.
+pub fn open() -> Option<Device> {
+    let found = adapters();
+    for adapter in &found {
+        say(&format!(
+            "adapter: {} ({}, {}, {})",
+            adapter.name, adapter.kind, adapter.backend, adapter.driver
+        ));
+    }
+    if found.is_empty() {
+        let required = std::env::var("LUMENMESH_REQUIRE_GPU").is_ok_and(|value| value == "1");
+        assert!(!required, "no GPU adapter");
+        say("SKIPPED: no GPU adapter (LUMENMESH_REQUIRE_GPU=1 makes that a failure)");
+        return None;
+    }
+    let engine = GpuEngine::new(std::env::var("LUMENMESH_ADAPTER").ok().as_deref()).unwrap();
+    let name = engine.adapter().unwrap().name.clone();
+    say(&format!("these tests run on {name}"));
+    Some(Device { engine, exact: name.contains("llvmpipe") })
+}
+
+/// A buffer as a pass left it.
+#[derive(Clone)]
+pub struct Readback {
+    /// What it held before the pass.
+    pub before: Vec<u32>,
+    /// What it holds after.
+    pub words: Vec<u32>,
+}
+
+impl Readback {
+    /// The words at some places, as if the buffer had only those.
+    pub fn at(&self, places: &[usize]) -> Self {
+        let pick = |words: &[u32]| places.iter().map(|&i| words[i]).collect();
+        Self { before: pick(&self.before), words: pick(&self.words) }
+    }
+
+    /// The numbers in it.
+    pub fn numbers(&self) -> Vec<f32> {
+        self.words.iter().map(|&w| f32::from_bits(w)).collect()
+    }
+}
+
+impl Device {
+    /// Runs one pass on given inputs and reads buffers back. Outputs that are not inputs too hold [`POISON`]
+    /// before.
+    pub fn run<const N: usize>(
+        &self,
+        workspace: &Workspace,
+        pass: &str,
+        inputs: &[(&str, &[u8])],
+        outputs: [&str; N],
+    ) -> [Readback; N] {
+        let read = self.engine.run_pass(workspace, pass, inputs, &outputs).unwrap();
+        let mut read = read.into_iter();
+        outputs.map(|name| {
+            let words: Vec<u32> = bytemuck::pod_collect_to_vec(&read.next().unwrap());
+            let mut before = vec![POISON; words.len()];
+            for (_, bytes) in inputs.iter().filter(|(input, _)| *input == name) {
+                before[..bytes.len() / 4].copy_from_slice(&bytemuck::pod_collect_to_vec::<u8, u32>(bytes));
+            }
+            Readback { before, words }
+        })
+    }
+}

@@ -1,0 +1,139 @@
+//! What fails does so in time, with a typed error and no stale result.
+
+use crate::device::{device, open};
+use crate::sections::{RADIUS_MM, recording, wall};
+use lumenmesh::Error;
+use lumenmesh::fit::gpu::{GpuEngine, GpuError};
+use lumenmesh::fit::{AutoEngine, CpuEngine, Engine, Job, Track};
+use lumenmesh::settings::Settings;
+use std::sync::mpsc;
+use std::time::Duration;
+
+/// Runs work that must not hang.
+fn in_time<R: Send + 'static>(work: impl FnOnce() -> R + Send + 'static) -> R {
+    let (sender, receiver) = mpsc::channel();
+    let thread = std::thread::spawn(move || sender.send(work()));
+    let done = receiver.recv_timeout(Duration::from_secs(30)).expect("the device hangs");
+    thread.join().unwrap().unwrap();
+    done
+}
+
+#[test]
+fn a_destroyed_device_fails_every_call() {
+    let Some(device) = open() else { return };
+    let settings = Settings::default();
+    let section = wall(1_000, 137);
+    device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+    let workspace = device.engine.prepare(1_000, RADIUS_MM, &settings).unwrap();
+    device.engine.device().destroy();
+    in_time(move || {
+        let engine = &device.engine;
+        let failed = engine.fit_section(&section, RADIUS_MM, &settings).unwrap_err();
+        assert!(matches!(failed, Error::Gpu(_)), "{failed}");
+        let failed = engine.run_pass(&workspace, "scan_spine", &[], &["radii"]).unwrap_err();
+        assert!(matches!(failed, Error::Gpu(_)), "{failed}");
+        let failed = engine.prepare(10, RADIUS_MM, &settings).err().expect("a workspace on no device");
+        assert!(matches!(failed, Error::Gpu(_)), "{failed}");
+        let track = Track::of(&recording(20, 50, 139), &settings).unwrap();
+        let failed = engine.fit(&Job::new(&track, &[9, 19], &settings)).unwrap_err();
+        assert!(matches!(failed, Error::Gpu(_)), "{failed}");
+        println!("{failed}");
+    });
+}
+
+#[test]
+fn a_host_s_destroyed_device_fails_too() {
+    let Some(device) = open() else { return };
+    let (lost, queue) = (device.engine.device().clone(), device.engine.queue().clone());
+    let engine = GpuEngine::on_device(lost.clone(), queue).unwrap();
+    lost.destroy();
+    in_time(move || {
+        let failed = engine.fit_section(&wall(100, 149), RADIUS_MM, &Settings::default()).unwrap_err();
+        assert!(matches!(failed, Error::Gpu(_)), "{failed}");
+    });
+}
+
+#[test]
+fn too_large_a_job_is_refused_with_both_numbers() {
+    let Some(device) = device() else { return };
+    let limits = device.engine.device().limits();
+    let allowed = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    let refused = |points: u32, settings: &Settings| match device.engine.prepare(points, RADIUS_MM, settings)
+    {
+        Err(Error::Gpu(GpuError::TooLarge { name, needed, allowed: limit })) => {
+            assert_eq!(limit, allowed);
+            (name, needed)
+        }
+        Err(other) => panic!("{other}"),
+        Ok(_) => panic!("a job of {points} points was accepted"),
+    };
+    let (name, needed) = refused(u32::MAX, &Settings::default());
+    assert_eq!((name.as_str(), needed), ("section", 12 * u64::from(u32::MAX)));
+    // One point too many.
+    if let Ok(most) = u32::try_from(allowed / 12) {
+        refused(most + 1, &Settings::default());
+    }
+    let faces = 1 << 28;
+    let (name, needed) = refused(10, &Settings { nodes: faces, levels: 1, ..Settings::default() });
+    assert_eq!((name.as_str(), needed), ("statistics", 24 * u64::from(faces)));
+    let failed = device.engine.prepare(u32::MAX, RADIUS_MM, &Settings::default()).err().unwrap();
+    let message = failed.to_string();
+    assert!(message.contains(&needed_and_allowed(12 * u64::from(u32::MAX), allowed)), "{message}");
+}
+
+fn needed_and_allowed(needed: u64, allowed: u64) -> String {
+    format!("needs {needed} bytes for section, the device allows {allowed} at most")
+}
+
+#[test]
+fn an_unknown_adapter_is_answered_with_those_that_are_there() {
+    let failed = GpuEngine::new(Some("no such adapter")).err().expect("an adapter of that name");
+    let message = failed.to_string();
+    assert!(message.contains("\"no such adapter\""), "{message}");
+    for adapter in lumenmesh::fit::gpu::adapters() {
+        assert!(message.contains(&adapter.name), "{message}");
+    }
+}
+
+/// Enough work to look for a device, little enough to do here.
+fn large() -> Settings {
+    Settings { nodes: 1000, levels: 800, iterations: 30, ..Settings::default() }
+}
+
+#[test]
+fn auto_falls_back_to_the_cpu_and_says_why() {
+    let section = wall(2_000, 151);
+    let engine = AutoEngine::default();
+    let settings = Settings { adapter: Some("no such adapter".into()), ..large() };
+    let tube = engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+    let description = engine.describe();
+    assert_eq!(description.name, "cpu");
+    let why = description.why.unwrap();
+    assert!(why.contains("no such adapter"), "{why}");
+    let cpu = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
+    assert_eq!(tube.radii_mm, cpu.radii_mm);
+}
+
+#[test]
+fn auto_stays_on_the_cpu_where_a_device_is_not_worth_it() {
+    let engine = AutoEngine::default();
+    engine.fit_section(&wall(2_000, 151), RADIUS_MM, &Settings::default()).unwrap();
+    let description = engine.describe();
+    assert_eq!(description.name, "cpu");
+    assert!(description.why.unwrap().contains("less than starting a device takes"));
+}
+
+#[test]
+fn a_cylinder_without_points_is_an_error_as_on_the_cpu() {
+    let Some(device) = device() else { return };
+    let mut far = recording(20, 50, 157);
+    for frame in &mut far.frames {
+        frame.contour_mm.iter_mut().for_each(|p| *p *= 3.0);
+    }
+    let settings = Settings::default();
+    let track = Track::of(&far, &settings).unwrap();
+    let job = Job::new(&track, &[9, 19], &settings);
+    let found = device.engine.fit(&job).unwrap_err().to_string();
+    assert_eq!(found, CpuEngine::<f32>::new().fit(&job).unwrap_err().to_string());
+    assert!(found.starts_with("frame 9: section: found 0 points"), "{found}");
+}

@@ -1,0 +1,188 @@
+//! The passes that group points by face, `bin` to `classify`, against their twin.
+
+use crate::compare::{Tolerance, integers, numbers, places};
+use crate::device::{Device, POISON, device};
+use crate::sections::{RADIUS_MM, rows, seeded, wall};
+use lumenmesh::fit::passes::{Grid, Section, group};
+use lumenmesh::fit::{Job, Track};
+use lumenmesh::settings::Settings;
+use lumenmesh::tube::Tube;
+use rand::RngExt;
+
+/// About the 256 invocations of a workgroup, and several workgroups.
+const POINTS: [usize; 9] = [0, 1, 2, 255, 256, 257, 1023, 1025, 20_000];
+
+/// The face of each point.
+pub fn faces(section: &Section<f32>, tube: &Tube) -> Vec<u32> {
+    let grid = Grid::<f32>::new(tube);
+    (0..section.len())
+        .map(|i| {
+            let (level, node) = grid.face(section.theta[i], section.z[i]);
+            level * grid.nodes + node
+        })
+        .collect()
+}
+
+/// Differences of offsets.
+fn counts(offsets: &[u32]) -> Vec<u32> {
+    offsets.windows(2).map(|pair| pair[1] - pair[0]).collect()
+}
+
+/// `bin` on a section, and `scatter` behind it with the twin's places.
+pub fn bins_and_scatters(device: &Device, section: &Section<f32>, settings: &Settings) {
+    let tube = Tube::new(settings);
+    let groups = group(section, &tube);
+    let face_of_each = faces(section, &tube);
+    let workspace = device.engine.prepare(section.len() as u32, RADIUS_MM, settings).unwrap();
+    let rows = rows(section);
+    let points = ("section", bytemuck::cast_slice(&rows));
+    let none = vec![0_u32; tube.face_count()];
+
+    let [counted, placed] = device.run(
+        &workspace,
+        "bin",
+        &[points, ("counts", bytemuck::cast_slice(&none))],
+        ["counts", "places"],
+    );
+    if section.is_empty() {
+        assert_eq!(counted.words, counted.before);
+        return;
+    }
+    integers(&counted, &counts(&groups.offsets)).unwrap();
+    places(&placed, &face_of_each, tube.face_count()).unwrap();
+
+    // In the order of the points, as the twin places them.
+    let mut next = none;
+    let in_order: Vec<[u32; 2]> = face_of_each
+        .iter()
+        .map(|&face| {
+            let place = next[face as usize];
+            next[face as usize] += 1;
+            [face, place]
+        })
+        .collect();
+    let inputs = [
+        points,
+        ("places", bytemuck::cast_slice(&in_order)),
+        ("offsets", bytemuck::cast_slice(&groups.offsets)),
+    ];
+    let [grouped] = device.run(&workspace, "scatter", &inputs, ["grouped"]);
+    // θ and z less that of the corner: one product, one or two differences.
+    let tolerance = Tolerance::of(device.exact, 4.0, 2.0 * std::f64::consts::TAU.max(settings.height_mm));
+    numbers(&grouped, groups.points.as_flattened(), tolerance).unwrap();
+}
+
+#[test]
+fn bin_and_scatter_are_their_twin() {
+    let Some(device) = device() else { return };
+    for (nodes, levels) in [(12, 5), (3, 1), (64, 48)] {
+        for count in POINTS {
+            let settings = Settings { nodes, levels, ..Settings::default() };
+            bins_and_scatters(device, &wall(count, 17), &settings);
+        }
+    }
+}
+
+#[test]
+fn bin_and_scatter_keep_cylinders_apart_and_leave_out_points_without_one() {
+    let Some(device) = device() else { return };
+    let settings = Settings::default();
+    let track = Track::of(&crate::sections::recording(30, 80, 5), &settings).unwrap();
+    let job = Job::new(&track, &[9, 19, 29], &settings);
+    let [workspace] = &device.engine.prepare_job(&job).unwrap()[..] else { panic!("one batch") };
+    let tube = Tube::new(&settings);
+    let slots = workspace.job().slots as usize;
+    let section = wall(slots, 6);
+    let mut rng = seeded(7);
+    let owners: Vec<u32> = (0..slots).map(|_| [0, 1, 2, POISON][rng.random_range(0..4)]).collect();
+    let face_of_each: Vec<u32> = faces(&section, &tube)
+        .iter()
+        .zip(&owners)
+        .map(|(face, owner)| if *owner == POISON { POISON } else { owner * 60 + face })
+        .collect();
+    let mut expected = vec![0_u32; 180];
+    face_of_each.iter().filter(|&&f| f != POISON).for_each(|&f| expected[f as usize] += 1);
+    let rows = rows(&section);
+    let inputs = [
+        ("section", bytemuck::cast_slice(&rows)),
+        ("owners", bytemuck::cast_slice(&owners)),
+        ("counts", bytemuck::cast_slice(&[0_u32; 180])),
+    ];
+    let [counted, placed] = device.run(workspace, "bin", &inputs, ["counts", "places"]);
+    integers(&counted, &expected).unwrap();
+    places(&placed, &face_of_each, 180).unwrap();
+}
+
+#[test]
+fn the_scan_is_a_running_sum() {
+    let Some(device) = device() else { return };
+    let mut rng = seeded(23);
+    // About the 4, 256 and 1024 faces of an invocation, a workgroup and a block, and the 256 blocks of one turn
+    // of the spine.
+    for faces in [3, 4, 5, 255, 256, 257, 1023, 1024, 1025, 262_143, 262_144, 262_145, 600_000] {
+        let settings = Settings { nodes: faces, levels: 1, ..Settings::default() };
+        let workspace = device.engine.prepare(10, RADIUS_MM, &settings).unwrap();
+        let counts: Vec<u32> = (0..faces).map(|_| rng.random_range(0..9)).collect();
+        let counts_bytes = ("counts", bytemuck::cast_slice(&counts));
+
+        let sums: Vec<u32> = counts.chunks(1024).map(|block| block.iter().sum()).collect();
+        let [found] = device.run(&workspace, "scan_reduce", &[counts_bytes], ["block_sums"]);
+        integers(&found, &sums).unwrap();
+
+        let mut before: Vec<u32> = Vec::new();
+        let mut sum = 0;
+        for own in &sums {
+            before.push(sum);
+            sum += own;
+        }
+        let inputs = [("block_sums", bytemuck::cast_slice(&sums))];
+        let [found] = device.run(&workspace, "scan_spine", &inputs, ["block_sums"]);
+        integers(&found, &before).unwrap();
+
+        let mut offsets = vec![0];
+        offsets.extend(counts.iter().scan(0, |sum, count| {
+            *sum += count;
+            Some(*sum)
+        }));
+        let inputs = [counts_bytes, ("block_sums", bytemuck::cast_slice(&before))];
+        let [found] = device.run(&workspace, "scan_downsweep", &inputs, ["offsets"]);
+        integers(&found, &offsets).unwrap();
+    }
+}
+
+#[test]
+fn long_faces_are_those_above_the_short_capacity() {
+    let Some(device) = device() else { return };
+    let mut rng = seeded(29);
+    for faces in [3_u32, 255, 256, 257, 1025] {
+        let settings = Settings { nodes: faces, levels: 1, ..Settings::default() };
+        let most = 32;
+        let mut offsets = vec![0_u32];
+        for face in 0..faces {
+            let count = match face % 5 {
+                0 => most,
+                1 => most + 1,
+                2 => 0,
+                _ => rng.random_range(0..5),
+            };
+            offsets.push(offsets[face as usize] + count);
+        }
+        let slots = 8 * faces;
+        let workspace =
+            device.engine.prepare(offsets[faces as usize].min(slots), RADIUS_MM, &settings).unwrap();
+        let most_here = workspace.job().short_most;
+        let expected: Vec<u32> =
+            (0..faces).filter(|&f| offsets[f as usize + 1] - offsets[f as usize] > most_here).collect();
+        let inputs =
+            [("offsets", bytemuck::cast_slice(&offsets)), ("long_faces", bytemuck::cast_slice(&[0_u32]))];
+        let [mut found] = device.run(&workspace, "classify", &inputs, ["long_faces"]);
+        let count = found.words[0] as usize;
+        found.words[1..=count].sort_unstable();
+        let listed: Vec<u32> = [&[expected.len() as u32], &expected[..]].concat();
+        if expected.is_empty() {
+            assert_eq!(count, 0);
+        } else {
+            integers(&found, &listed).unwrap();
+        }
+    }
+}

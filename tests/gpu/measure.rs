@@ -1,0 +1,191 @@
+//! The passes `measure_short` and `measure_long` against their twins, distance and filter.
+
+use crate::compare::{Tolerance, decisions};
+use crate::device::{Device, device};
+use crate::sections::{RADIUS_MM, seeded};
+use lumenmesh::fit::gpu::LANES;
+use lumenmesh::fit::passes::{Face, Filter, Grid, TriangleStatistic, distance, filter};
+use lumenmesh::settings::{Outliers, Settings, Statistic};
+use lumenmesh::tube::Tube;
+use rand::RngExt;
+
+/// How the points of a face differ from each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Pattern {
+    Random,
+    AllEqual,
+    TwoValues,
+    Sorted,
+    /// Nearly all on one spot, the rest far away.
+    Skewed,
+}
+
+const PATTERNS: [Pattern; 5] =
+    [Pattern::Random, Pattern::AllEqual, Pattern::TwoValues, Pattern::Sorted, Pattern::Skewed];
+
+/// Points of faces with so many points each, measured from their faces' corners.
+struct Faces {
+    tube: Tube,
+    offsets: Vec<u32>,
+    points: Vec<[f32; 3]>,
+    radii: Vec<f32>,
+}
+
+impl Faces {
+    fn new(settings: &Settings, sizes: &[u32], pattern: Pattern) -> Self {
+        let tube = Tube::new(settings);
+        assert_eq!(sizes.len(), tube.face_count());
+        let grid = Grid::<f32>::new(&tube);
+        let mut rng = seeded(31);
+        let (mut offsets, mut points) = (vec![0], Vec::new());
+        for &size in sizes {
+            let begin = points.len();
+            for i in 0..size {
+                let any = [
+                    rng.random_range(9.0..15.0_f32),
+                    rng.random_range(0.0..1.0_f32) * grid.step_theta,
+                    rng.random_range(0.0..1.0_f32) * grid.step_z,
+                ];
+                let spot = [12.75, 0.25 * grid.step_theta, 0.5 * grid.step_z];
+                points.push(match pattern {
+                    Pattern::Random | Pattern::Sorted => any,
+                    Pattern::AllEqual => spot,
+                    Pattern::TwoValues if i % 3 == 0 => [11.5, spot[1], spot[2]],
+                    Pattern::TwoValues => spot,
+                    Pattern::Skewed if i % 50 == 7 => any,
+                    Pattern::Skewed => [spot[0] + any[1] * 1e-4, spot[1], spot[2]],
+                });
+            }
+            if pattern == Pattern::Sorted {
+                points[begin..].sort_by(|p, q| p[0].total_cmp(&q[0]));
+            }
+            offsets.push(points.len() as u32);
+        }
+        let radii = (0..tube.node_count()).map(|_| 12.0 + rng.random_range(-0.8..0.8_f32)).collect();
+        Self { tube, offsets, points, radii }
+    }
+
+    fn size(&self, face: usize) -> u32 {
+        self.offsets[face + 1] - self.offsets[face]
+    }
+
+    /// The statistics of one face's two triangles.
+    fn twin(&self, face: usize, rule: &Filter<f32>) -> [TriangleStatistic<f32>; 2] {
+        let (tube, grid) = (&self.tube, Grid::<f32>::new(&self.tube));
+        let (row, j) = (face - face % tube.nodes, face % tube.nodes);
+        let k = tube.next(j);
+        let a = self.radii[row + j];
+        let corners = Face {
+            b: self.radii[row + k] - a,
+            b_above: self.radii[row + tube.nodes + k] - a,
+            a_above: self.radii[row + tube.nodes + j] - a,
+            step_theta: grid.step_theta,
+            step_z: grid.step_z,
+        };
+        let mut distances = [Vec::new(), Vec::new()];
+        for [r, theta, z] in &self.points[self.offsets[face] as usize..self.offsets[face + 1] as usize] {
+            let (signed, top) = distance([r - a, *theta, *z], &corners);
+            distances[usize::from(top)].push(signed);
+        }
+        distances.map(|d| filter(&d, rule, &mut Vec::new()))
+    }
+
+    /// Runs the pass that measures long faces or that which measures short ones: it writes those, all of
+    /// those, and no others.
+    fn agrees(&self, device: &Device, settings: &Settings, long: bool) {
+        let count = self.points.len() as u32;
+        let workspace = device.engine.prepare(count, RADIUS_MM, settings).unwrap();
+        let most = workspace.job().short_most;
+        let rule = Filter::new(settings, RADIUS_MM);
+        let faces = self.tube.face_count();
+        let mut expected = vec![None; 2 * faces];
+        let mut listed = vec![0_u32];
+        for face in (0..faces).filter(|&f| (self.size(f) > most) == long) {
+            for (half, s) in self.twin(face, &rule).into_iter().enumerate() {
+                expected[half * faces + face] = Some((s.value, s.kept, s.residual));
+            }
+            listed.push(face as u32);
+        }
+        listed[0] = listed.len() as u32 - 1;
+        let mut inputs = vec![
+            ("offsets", bytemuck::cast_slice(&self.offsets)),
+            ("grouped", bytemuck::cast_slice(&self.points)),
+            ("radii", bytemuck::cast_slice(&self.radii)),
+        ];
+        let pass = if long { "measure_long" } else { "measure_short" };
+        if long {
+            inputs.push(("long_faces", bytemuck::cast_slice(&listed)));
+        }
+        let [found] = device.run(&workspace, pass, &inputs, ["statistics"]);
+        // A distance is some 60 operations on differences of a few mm; the fixed-point step and the mean add
+        // two roundings. A point that changes triangle shows in both counts: 3 % may, of those with points.
+        let tolerance = Tolerance::of(device.exact, 128.0, 6.0);
+        let most_flips = if device.exact { 0 } else { 2 + 2 * faces * 3 / 100 };
+        decisions(&found, &expected, tolerance, most_flips).unwrap();
+    }
+}
+
+fn all_rules() -> impl Iterator<Item = (Outliers, Statistic)> {
+    [Outliers::Iqr, Outliers::Deviation, Outliers::None]
+        .into_iter()
+        .flat_map(|outliers| [Statistic::Mean, Statistic::Median].map(|statistic| (outliers, statistic)))
+}
+
+#[test]
+fn measure_short_is_its_twins_with_every_number_of_lanes() {
+    let Some(device) = device() else { return };
+    for lanes in LANES {
+        // About 1.7 times as many points a face as lanes: what the engine chooses that number for. Sizes up to
+        // the capacity and beyond it, which the pass must leave alone.
+        let capacity = 8 * lanes;
+        let mut sizes = vec![0, 1, 2, 3, 4, 5, 7, capacity - 1, capacity, capacity + 1];
+        sizes.resize(60, lanes * 3 / 2);
+        for pattern in PATTERNS {
+            for (outliers, statistic) in all_rules() {
+                let settings = Settings { outliers, statistic, ..Settings::default() };
+                let faces = Faces::new(&settings, &sizes, pattern);
+                let count = faces.points.len() as u32;
+                let chosen = device.engine.prepare(count, RADIUS_MM, &settings).unwrap().job().short_most;
+                assert_eq!(chosen, capacity, "{lanes} lanes");
+                faces.agrees(device, &settings, false);
+            }
+        }
+    }
+}
+
+#[test]
+fn measure_long_is_its_twins() {
+    let Some(device) = device() else { return };
+    let mut sizes = vec![257, 256, 258, 511, 512, 513, 0, 1000, 4096, 65_537, 100_000];
+    sizes.resize(60, 20);
+    for pattern in PATTERNS {
+        for (outliers, statistic) in all_rules() {
+            let settings = Settings { outliers, statistic, ..Settings::default() };
+            Faces::new(&settings, &sizes, pattern).agrees(device, &settings, true);
+        }
+    }
+}
+
+#[test]
+fn measure_long_begins_right_above_each_short_capacity() {
+    let Some(device) = device() else { return };
+    for lanes in LANES {
+        let capacity = 8 * lanes;
+        let mut sizes = vec![capacity + 1, capacity, capacity + 2, 2 * capacity];
+        sizes.resize(60, lanes);
+        let settings = Settings::default();
+        let faces = Faces::new(&settings, &sizes, Pattern::Random);
+        let count = faces.points.len() as u32;
+        let chosen = device.engine.prepare(count, RADIUS_MM, &settings).unwrap().job().short_most;
+        assert_eq!(chosen, capacity, "{lanes} lanes");
+        faces.agrees(device, &settings, true);
+    }
+}
+
+#[test]
+fn more_long_faces_than_workgroups_are_all_measured() {
+    let Some(device) = device() else { return };
+    // At most 1024 workgroups take the long faces in turn.
+    let settings = Settings { nodes: 50, levels: 30, ..Settings::default() };
+    Faces::new(&settings, &[300; 1500], Pattern::Random).agrees(device, &settings, true);
+}

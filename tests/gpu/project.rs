@@ -1,0 +1,133 @@
+//! The pass `project` against its twin.
+
+use crate::compare::{Tolerance, integers, numbers};
+use crate::device::{Device, POISON, device};
+use crate::sections::recording;
+use lumenmesh::fit::passes::{Gate, Section, TubeTransform, project};
+use lumenmesh::fit::{Job, Track};
+use lumenmesh::recording::Recording;
+use lumenmesh::settings::Settings;
+
+/// What the twin makes of each slot: its cylinder and tube coordinates, or nothing where it does not pass.
+struct Expected {
+    owners: Vec<u32>,
+    passed: Vec<usize>,
+    coordinates: [Vec<f32>; 3],
+    gated: Vec<u32>,
+}
+
+fn twin(job: &Job) -> Expected {
+    let mut expected = Expected {
+        owners: Vec::new(),
+        passed: Vec::new(),
+        coordinates: Default::default(),
+        gated: vec![0; job.frames.len()],
+    };
+    for (cylinder, &frame) in job.frames.iter().enumerate() {
+        let gate = Gate::<f32>::new(job.settings, job.track.cylinder(frame).unwrap().radius_mm);
+        for near in job.track.near(frame, job.settings).unwrap() {
+            let transform = TubeTransform::new(&near.cylinder_from_probe);
+            for point in &job.track.echoes_mm()[near.echoes] {
+                let mut one = Section::default();
+                project(std::slice::from_ref(point), &transform, &gate, &mut one);
+                expected.gated[cylinder] += one.gated as u32;
+                if one.is_empty() {
+                    expected.owners.push(POISON);
+                    continue;
+                }
+                expected.passed.push(expected.owners.len());
+                expected.owners.push(cylinder as u32);
+                let [r, theta, z] = &mut expected.coordinates;
+                r.push(one.r[0]);
+                theta.push(one.theta[0]);
+                z.push(one.z[0]);
+            }
+        }
+    }
+    expected
+}
+
+fn agrees(
+    device: &Device,
+    recording: &Recording,
+    settings: &Settings,
+    frames: &[usize],
+    pairs: std::ops::Range<u32>,
+) {
+    let track = Track::of(recording, settings).unwrap();
+    let job = Job::new(&track, frames, settings);
+    let [workspace] = &device.engine.prepare_job(&job).unwrap()[..] else { panic!("one batch") };
+    assert!(pairs.contains(&workspace.job().pairs), "{} pairs", workspace.job().pairs);
+    let none = vec![0_u32; frames.len()];
+    let [section, owners, gated] = device.run(
+        workspace,
+        "project",
+        &[("gated", bytemuck::cast_slice(&none))],
+        ["section", "owners", "gated"],
+    );
+    let expected = twin(&job);
+    assert_eq!(expected.owners.len(), workspace.job().slots as usize);
+    assert_eq!(gated.words[..frames.len()], expected.gated);
+    // A point on the gate's edge may fall on either side where a device rounds in its own way; POISON, "not
+    // passed", is what the buffer held, so a mark of it cannot be told from a word left out.
+    if device.exact {
+        integers(&owners, &expected.owners).unwrap();
+    } else {
+        let differ = owners.words.iter().zip(&expected.owners).filter(|(a, b)| a != b).count();
+        assert!(differ <= expected.owners.len() / 1000, "{differ} points on another side of the gate");
+    }
+    let greatest = settings.gate[1] * 13.0;
+    // Four roundings in x and y, of operands as large as the farthest point of a frame near by; the root and
+    // the division inside the angle add up to 2.5 each, its polynomial 8. Angles are those of r at least.
+    let scale = 4.0 * greatest;
+    for (component, roundings, scale) in [
+        (0, 16.0, scale),
+        (1, 32.0, scale / (settings.gate[0] * 12.0) + std::f64::consts::TAU),
+        (2, 8.0, scale),
+    ] {
+        let places: Vec<usize> = expected
+            .passed
+            .iter()
+            .filter(|&&slot| owners.words[slot] == expected.owners[slot])
+            .map(|slot| 3 * slot + component)
+            .collect();
+        let agreed: Vec<f32> = expected
+            .passed
+            .iter()
+            .zip(&expected.coordinates[component])
+            .filter(|(slot, _)| owners.words[**slot] == expected.owners[**slot])
+            .map(|(_, x)| *x)
+            .collect();
+        assert!(!agreed.is_empty());
+        numbers(&section.at(&places), &agreed, Tolerance::of(device.exact, roundings, scale)).unwrap();
+    }
+}
+
+#[test]
+fn project_is_its_twin() {
+    let Some(device) = device() else { return };
+    let settings = Settings::default();
+    let pullback = recording(60, 100, 1);
+    agrees(device, &pullback, &settings, &[5, 20, 33, 59], 40..240);
+    let track = Track::of(&pullback, &settings).unwrap();
+    assert!(twin(&Job::new(&track, &[59], &settings)).gated[0] > 0, "no point tries the gate");
+    // One point a frame, and a number of points about the 64 invocations of a workgroup.
+    for rays in [1, 2, 63, 64, 65, 257] {
+        let found = recording(8, rays, u64::from(rays as u32));
+        if found.frames.iter().any(|f| f.echoes_mm().count() > 0) {
+            agrees(device, &found, &settings, &[7], 1..9);
+        }
+    }
+}
+
+#[test]
+fn project_goes_past_65535_workgroups() {
+    let Some(device) = device() else { return };
+    // Every frame is near every later cylinder: n(n + 1)/2 pairs, two points each.
+    let mut recording = recording(380, 2, 3);
+    for frame in &mut recording.frames {
+        frame.world_from_sensor.translation_mm *= 1e-2;
+    }
+    let frames: Vec<usize> = (0..380).collect();
+    agrees(device, &recording, &Settings::default(), &frames, 65_536..100_000);
+}

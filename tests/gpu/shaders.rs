@@ -1,0 +1,228 @@
+//! What is written in Rust and in WGSL says the same.
+
+use lumenmesh::fit::gpu::{Access, DeviceCylinder, DeviceJob, DevicePair, LANES, PASSES, Pass};
+use lumenmesh::fit::passes::TriangleStatistic;
+use lumenmesh::settings::{Outliers, Settings, Statistic};
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use naga::{AddressSpace, Expression, Handle, Literal, Module, StorageAccess, TypeInner};
+use std::collections::BTreeMap;
+use std::mem::offset_of;
+use std::path::{Path, PathBuf};
+
+fn module(pass: &Pass) -> Module {
+    let source = pass.source();
+    let module = naga::front::wgsl::parse_str(&source)
+        .unwrap_or_else(|error| panic!("{}: {}", pass.name, error.emit_to_string(&source)));
+    // No capability beyond the standard's.
+    Validator::new(ValidationFlags::all(), Capabilities::empty())
+        .validate(&module)
+        .unwrap_or_else(|error| panic!("{}: {}", pass.name, error.emit_to_string(&source)));
+    module
+}
+
+fn row(name: &str) -> &'static Pass {
+    PASSES.iter().find(|pass| pass.name == name).unwrap()
+}
+
+fn wgsl_files(folder: &str) -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
+    let mut files: Vec<PathBuf> = std::fs::read_dir(&folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|ending| ending == "wgsl"))
+        .collect();
+    files.sort();
+    assert!(!files.is_empty(), "no shader in {}", folder.display());
+    files
+}
+
+#[test]
+fn every_shader_file_is_a_pass_or_part_of_one_and_valid() {
+    for file in wgsl_files("shaders") {
+        let name = file.file_stem().unwrap().to_str().unwrap();
+        let pass = PASSES.iter().find(|pass| pass.name == name);
+        let pass = pass.unwrap_or_else(|| panic!("{} is in no row of PASSES", file.display()));
+        assert_eq!(pass.own_source, std::fs::read_to_string(&file).unwrap());
+        module(pass);
+    }
+    for file in wgsl_files("shaders/common") {
+        let text = std::fs::read_to_string(&file).unwrap();
+        let used = PASSES.iter().any(|pass| pass.common.contains(&text.as_str()));
+        assert!(used, "no pass uses {}", file.display());
+    }
+    assert_eq!(PASSES.len(), wgsl_files("shaders").len());
+}
+
+#[test]
+fn a_shader_with_a_mistake_is_refused() {
+    let broken = row("bin").source().replace("let slot =", "let slot: f32 =");
+    let refused = match naga::front::wgsl::parse_str(&broken) {
+        Err(_) => true,
+        Ok(module) => {
+            Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module).is_err()
+        }
+    };
+    assert!(refused);
+}
+
+#[test]
+fn bindings_are_those_of_the_pass_table() {
+    for pass in &PASSES {
+        let module = module(pass);
+        let mut found = BTreeMap::new();
+        for (_, variable) in module.global_variables.iter() {
+            let Some(binding) = &variable.binding else { continue };
+            assert_eq!(binding.group, 0, "{}", pass.name);
+            let access = match variable.space {
+                AddressSpace::Uniform => Access::Uniform,
+                AddressSpace::Storage { access } if access.contains(StorageAccess::STORE) => Access::Write,
+                AddressSpace::Storage { .. } => Access::Read,
+                other => panic!("{}: {other:?}", pass.name),
+            };
+            found.insert(binding.binding, (variable.name.clone().unwrap(), access));
+        }
+        let expected: BTreeMap<u32, (String, Access)> =
+            (0..).zip(pass.bindings.iter().map(|(name, access)| ((*name).to_owned(), *access))).collect();
+        assert_eq!(found, expected, "{}", pass.name);
+    }
+}
+
+#[test]
+fn workgroups_are_those_of_the_pass_table_and_fit_the_default_limits() {
+    let limits = wgpu::Limits::default();
+    for pass in &PASSES {
+        let module = module(pass);
+        let [entry] = &module.entry_points[..] else { panic!("{}: one entry point", pass.name) };
+        assert_eq!((entry.name.as_str(), entry.stage), ("main", naga::ShaderStage::Compute));
+        assert_eq!(entry.workgroup_size, [pass.workgroup_size, 1, 1], "{}", pass.name);
+        assert!(entry.workgroup_size_overrides.is_none());
+        assert!(pass.workgroup_size <= limits.max_compute_invocations_per_workgroup.min(256));
+
+        let stored = pass.bindings.iter().filter(|(_, access)| *access != Access::Uniform).count();
+        assert!(stored <= limits.max_storage_buffers_per_shader_stage.min(8) as usize, "{}", pass.name);
+
+        let memory: u32 = module
+            .global_variables
+            .iter()
+            .filter(|(_, variable)| variable.space == AddressSpace::WorkGroup)
+            // Each variable may be padded to 16 bytes.
+            .map(|(_, variable)| module.types[variable.ty].inner.size(module.to_ctx()).next_multiple_of(16))
+            .sum();
+        println!("{}: {memory} bytes of workgroup memory", pass.name);
+        assert!(memory <= limits.max_compute_workgroup_storage_size.min(16 * 1024), "{}", pass.name);
+    }
+    assert_eq!(limits.max_compute_workgroups_per_dimension, 65_535);
+}
+
+/// Size and the members' offsets of a structure.
+fn layout(module: &Module, name: &str) -> (u32, Vec<(String, u32)>) {
+    let (_, ty) = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).unwrap();
+    let TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is no structure") };
+    (*span, members.iter().map(|m| (m.name.clone().unwrap(), m.offset)).collect())
+}
+
+macro_rules! fields {
+    ($type:ty: $($field:ident),*) => {
+        (size_of::<$type>() as u32, vec![$((stringify!($field).to_owned(), offset_of!($type, $field) as u32)),*])
+    };
+}
+
+#[test]
+fn structures_have_the_same_layout() {
+    let job = fields!(DeviceJob: nodes, levels, faces, node_count, cylinders, slots, outliers, statistic,
+        half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, short_most, pairs);
+    let cylinder = fields!(DeviceCylinder: gate_low, gate_high, scale, unit);
+    let statistic = fields!(TriangleStatistic<f32>: value, kept, residual);
+    for pass in &PASSES {
+        assert_eq!(layout(&module(pass), "Job"), job, "{}", pass.name);
+    }
+    assert_eq!(layout(&module(row("project")), "Cylinder"), cylinder);
+    assert_eq!(layout(&module(row("support")), "TriangleStatistic"), statistic);
+
+    // A vector of three numbers is three numbers in the shader, where its own would be aligned to 16 bytes.
+    let (size, fields) = layout(&module(row("project")), "Pair");
+    assert_eq!(size as usize, size_of::<DevicePair>());
+    let mut expected = Vec::new();
+    for (name, offset) in [
+        ("x", offset_of!(DevicePair, x)),
+        ("y", offset_of!(DevicePair, y)),
+        ("origin", offset_of!(DevicePair, origin)),
+    ] {
+        for (axis, place) in ["x", "y", "z"].into_iter().zip(0..) {
+            expected.push((format!("{name}_{axis}"), offset as u32 + 4 * place));
+        }
+    }
+    for (name, offset) in [
+        ("cylinder", offset_of!(DevicePair, cylinder)),
+        ("first_point", offset_of!(DevicePair, first_point)),
+        ("count", offset_of!(DevicePair, count)),
+        ("first_slot", offset_of!(DevicePair, first_slot)),
+    ] {
+        expected.push((name.to_owned(), offset as u32));
+    }
+    for place in 0..3 {
+        expected.push((format!("unused_{place}"), offset_of!(DevicePair, unused) as u32 + 4 * place));
+    }
+    assert_eq!(fields, expected);
+}
+
+fn literal(module: &Module, expression: Handle<Expression>) -> u32 {
+    match module.global_expressions[expression] {
+        Expression::Literal(Literal::U32(value)) => value,
+        ref other => panic!("{other:?}"),
+    }
+}
+
+fn constant(module: &Module, name: &str) -> u32 {
+    let (_, constant) = module.constants.iter().find(|(_, c)| c.name.as_deref() == Some(name)).unwrap();
+    literal(module, constant.init)
+}
+
+#[test]
+fn constants_are_those_of_rust() {
+    let job = |outliers, statistic| {
+        DeviceJob::new(&Settings { outliers, statistic, ..Settings::default() }, 1, 0, None, 4)
+    };
+    let shader = module(row("measure_long"));
+    for (name, outliers) in [
+        ("OUTLIERS_IQR", Outliers::Iqr),
+        ("OUTLIERS_DEVIATION", Outliers::Deviation),
+        ("OUTLIERS_NONE", Outliers::None),
+    ] {
+        assert_eq!(constant(&shader, name), job(outliers, Statistic::Mean).outliers);
+    }
+    for (name, statistic) in [("STATISTIC_MEAN", Statistic::Mean), ("STATISTIC_MEDIAN", Statistic::Median)] {
+        assert_eq!(constant(&shader, name), job(Outliers::Iqr, statistic).statistic);
+    }
+    // No owner: the mark that the CPU's stages leave in slots without a point.
+    assert_eq!(constant(&shader, "NONE"), u32::MAX);
+    assert_eq!(constant(&shader, "THREADS"), row("measure_long").workgroup_size);
+}
+
+#[test]
+fn a_short_face_has_room_for_all_its_points() {
+    let module = module(row("measure_short"));
+    let (_, lanes) = module.overrides.iter().next().unwrap();
+    assert_eq!(lanes.name.as_deref(), Some("LANES"));
+    assert!(LANES.contains(&literal(&module, lanes.init.unwrap())));
+    let length = |name: &str| {
+        let (_, variable) =
+            module.global_variables.iter().find(|(_, v)| v.name.as_deref() == Some(name)).unwrap();
+        match module.types[variable.ty].inner {
+            TypeInner::Array { size: naga::ArraySize::Constant(length), .. } => length.get(),
+            ref other => panic!("{name}: {other:?}"),
+        }
+    };
+    for lanes in LANES {
+        let faces = row("measure_short").workgroup_size / lanes;
+        let capacity = DeviceJob::new(&Settings::default(), 1, 0, None, lanes).short_most;
+        assert_eq!(capacity, 8 * lanes);
+        assert!(length("keys") >= 2 * faces * capacity, "{lanes} lanes");
+        for name in ["number", "first", "third", "below", "kept", "all_low", "sum_high", "abs_high"] {
+            assert!(length(name) >= 2 * faces, "{name} of {lanes} lanes");
+        }
+    }
+    // The rows that the shader lays out for itself.
+    assert!(row("measure_short").own_source.contains("let top_row = bottom_row + 8u * LANES;"));
+    assert_eq!(constant(&module, "EMPTY"), u32::MAX);
+}
