@@ -1,6 +1,7 @@
 //! From tracked intravascular ultrasound to a 3D lumen mesh.
 //!
 //! Data flows one way: [`recording`] → [`cylinder`] → [`fit`] → [`merge`] → [`surface`] → [`evaluate`].
+//! [`sweep`] is the other way from a recording to a surface.
 //! Lengths are millimetres, angles radians, times seconds; indices count from 0.
 
 pub mod bench;
@@ -22,6 +23,7 @@ pub mod settings;
 pub mod simulate;
 pub mod study;
 pub mod surface;
+pub mod sweep;
 pub mod tube;
 
 pub use error::{Error, Result};

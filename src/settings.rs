@@ -15,6 +15,8 @@ pub enum Method {
     /// The published method: local cylinders, stitched.
     #[default]
     Cylinders,
+    /// One smooth tube swept along the estimated centreline, fitted to all echoes at once.
+    Sweep,
 }
 
 /// Where the fit is computed, and in which precision.
@@ -88,6 +90,25 @@ impl Calibration {
     }
 }
 
+/// The settings of the method `sweep`. What is not set is chosen from the recording.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Sweep {
+    /// Nodes a ring, at least 8; by default one for each ray of the probe, as far as there are four echoes a node.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nodes: Option<u32>,
+    /// τ: how much a wall is expected to bend within its own size; without unit. The wall is smoothed by λ = (noise/τ)².
+    pub roughness: f64,
+    /// Whether the surface keeps the parts that no echo supports.
+    pub keep_unsupported: bool,
+}
+
+impl Default for Sweep {
+    fn default() -> Self {
+        Self { nodes: None, roughness: 0.125, keep_unsupported: false }
+    }
+}
+
 /// The settings of a reconstruction. Defaults are the published ones (thesis, chapter 3).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -116,6 +137,8 @@ pub struct Settings {
     pub statistic: Statistic,
     /// Every how many frames a cylinder is fitted and merged.
     pub every: u32,
+    /// The settings of the method `sweep`.
+    pub sweep: Sweep,
     /// `eTi`, the probe in the tracker sensor's frame.
     pub calibration: Calibration,
 }
@@ -134,6 +157,7 @@ impl Default for Settings {
             outliers: Outliers::Iqr,
             statistic: Statistic::Mean,
             every: 10,
+            sweep: Sweep::default(),
             calibration: Calibration::default(),
         }
     }
@@ -202,6 +226,12 @@ impl Settings {
         if self.every < 1 {
             return fail("every", self.every.to_string(), "at least 1");
         }
+        if let Some(nodes) = self.sweep.nodes.filter(|n| !(8..=65536).contains(n)) {
+            return fail("sweep.nodes", nodes.to_string(), "8 to 65536");
+        }
+        if !(self.sweep.roughness.is_finite() && self.sweep.roughness > 0.0) {
+            return fail("sweep.roughness", self.sweep.roughness.to_string(), "more than 0");
+        }
         let norm = DQuat::from_array(self.calibration.quaternion).length();
         if !norm.is_finite() || (norm - 1.0).abs() >= 1e-3 {
             return fail(
@@ -232,6 +262,7 @@ mod tests {
             statistic: Statistic::Median,
             outliers: Outliers::Deviation,
             gate: [0.0, 8.0],
+            sweep: Sweep { nodes: Some(64), ..Sweep::default() },
             ..Settings::default()
         };
         let folder = tempfile::tempdir().unwrap();
@@ -272,6 +303,8 @@ mod tests {
             (Settings { gate: [0.5, 0.5], ..d() }, "gate"),
             (Settings { gate: [0.5, f64::INFINITY], ..d() }, "gate"),
             (Settings { every: 0, ..d() }, "every"),
+            (Settings { sweep: Sweep { nodes: Some(2), ..Sweep::default() }, ..d() }, "sweep.nodes"),
+            (Settings { sweep: Sweep { roughness: f64::NAN, ..Sweep::default() }, ..d() }, "sweep.roughness"),
             (Settings { nodes: u32::MAX, levels: u32::MAX, ..d() }, "nodes * levels"),
         ] {
             let message = settings.validate().unwrap_err().to_string();

@@ -1,10 +1,12 @@
 use super::settings::SettingsArguments;
 use super::{print_json, progress};
-use crate::Result;
 use crate::fit::{engine, merged_frames};
 use crate::reconstruction::{Reconstruction, Report, write_cylinders};
 use crate::recording::Recording;
+use crate::settings::{Method, Settings};
 use crate::surface;
+use crate::sweep::{self, Sweep};
+use crate::{Error, Result};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -14,6 +16,7 @@ use std::path::PathBuf;
   lumenmesh reconstruct pullback.mat -o vessel.vtp
   lumenmesh reconstruct recording/ -o vessel.ply --nodes 24 --levels 8 --statistic median
   lumenmesh reconstruct pullback.mat -o vessel.stl --config settings.toml --json > report.json
+  lumenmesh reconstruct pullback.mat -o vessel.vtp --method sweep
   lumenmesh reconstruct pullback.mat -o vessel.vtp --backend reference --cylinders cylinders.csv")]
 pub(super) struct Arguments {
     /// Recording: a MATLAB .mat file (v5, v7) or a folder of CSV files
@@ -34,12 +37,12 @@ pub(super) struct Arguments {
 
 /// What `--json` prints.
 #[derive(Serialize)]
-struct Output<'a> {
+struct Output<'a, R> {
     recording: &'a PathBuf,
     mesh: &'a PathBuf,
-    settings: &'a crate::settings::Settings,
+    settings: &'a Settings,
     #[serde(flatten)]
-    report: &'a Report,
+    report: &'a R,
 }
 
 impl Arguments {
@@ -47,9 +50,16 @@ impl Arguments {
         let settings = self.settings.settings()?;
         surface::check_ending(&self.output)?;
         let recording = Recording::read(&self.recording)?;
-        let engine = engine(&settings)?;
-        let bar = progress::bar("fitting cylinders", merged_frames(recording.frames.len(), &settings).len());
-        let done = Reconstruction::new(&recording, &settings, &*engine, self.cylinders.is_some(), &|n| {
+        match settings.method {
+            Method::Cylinders => self.cylinders(&recording, &settings),
+            Method::Sweep => self.sweep(&recording, &settings),
+        }
+    }
+
+    fn cylinders(&self, recording: &Recording, settings: &Settings) -> Result<()> {
+        let engine = engine(settings)?;
+        let bar = progress::bar("fitting cylinders", merged_frames(recording.frames.len(), settings).len());
+        let done = Reconstruction::new(recording, settings, &*engine, self.cylinders.is_some(), &|n| {
             bar.inc(n as u64);
         });
         bar.finish_and_clear();
@@ -58,20 +68,63 @@ impl Arguments {
             write_cylinders(&reconstruction.cylinders, path)?;
         }
         reconstruction.vessel.surface().write(&self.output)?;
-
-        let report = &reconstruction.report;
-        if self.json {
-            let output =
-                Output { recording: &self.recording, mesh: &self.output, settings: &settings, report };
-            return print_json(&output);
-        }
-        print_report(report);
-        println!("mesh       {}", self.output.display());
-        if let Some(path) = &self.cylinders {
+        self.print(settings, &reconstruction.report, print_report)?;
+        if let Some(path) = self.cylinders.as_ref().filter(|_| !self.json) {
             println!("cylinders  {}", path.display());
         }
         Ok(())
     }
+
+    fn sweep(&self, recording: &Recording, settings: &Settings) -> Result<()> {
+        if self.cylinders.is_some() {
+            return Err(Error::Setting {
+                name: "method",
+                found: "sweep".into(),
+                expected: "cylinders, where --cylinders asks for them".into(),
+            });
+        }
+        let sweep = Sweep::of(recording, settings).map_err(|e| e.in_file(&self.recording))?;
+        sweep.surface(settings.sweep.keep_unsupported).write(&self.output)?;
+        self.print(settings, &sweep.report, print_sweep)
+    }
+
+    fn print<R: Serialize>(&self, settings: &Settings, report: &R, for_people: fn(&R)) -> Result<()> {
+        if self.json {
+            return print_json(&Output { recording: &self.recording, mesh: &self.output, settings, report });
+        }
+        for_people(report);
+        println!("mesh       {}", self.output.display());
+        Ok(())
+    }
+}
+
+/// The report of a sweep for people.
+fn print_sweep(report: &sweep::Report) {
+    let sweep::Report { seconds, .. } = report;
+    println!("method     sweep on {} threads", report.threads);
+    println!(
+        "axis       {:.1} mm long, contours of {:.2} mm radius",
+        report.length_mm, report.contour_radius_mm
+    );
+    println!(
+        "echoes     {} recorded, {} missing, {} off the wall, {} beyond the ends",
+        report.echoes, report.missing, report.off_wall, report.beyond_ends
+    );
+    println!(
+        "noise      {:.3} mm across the wall, {:.3} mm along it; smoothed by {:.3} mm²",
+        report.noise_mm, report.tangential_noise_mm, report.smoothness_mm2
+    );
+    println!(
+        "vessel     {} rings, {} nodes, {} of them supported; {} iterations, {} solver steps",
+        report.rings, report.nodes, report.supported, report.iterations, report.solver_steps
+    );
+    println!(
+        "time       {:.1} ms axis, {:.1} ms placing echoes, {:.1} ms fitting, {:.1} ms weighing support",
+        seconds.axis * 1e3,
+        seconds.place * 1e3,
+        seconds.fit * 1e3,
+        seconds.support * 1e3
+    );
 }
 
 /// The report for people.

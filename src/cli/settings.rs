@@ -43,6 +43,15 @@ pub(super) struct SettingsArguments {
     /// Fit and merge a cylinder every so many frames [default: 10]
     #[arg(long, value_name = "FRAMES")]
     every: Option<u32>,
+    /// Nodes a ring of the method sweep [default: one for each ray, as far as echoes suffice]
+    #[arg(long, value_name = "N")]
+    sweep_nodes: Option<u32>,
+    /// How much the method sweep expects a wall to bend within its own size [default: 0.125]
+    #[arg(long, value_name = "TAU")]
+    roughness: Option<f64>,
+    /// Keep the parts of a swept vessel that no echo supports
+    #[arg(long)]
+    keep_unsupported: bool,
     /// Probe in the tracker sensor's frame: position in mm and unit quaternion [default: 0,0,0,0,0,0,1]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = numbers::<7>, allow_hyphen_values = true)]
     calibration: Option<[f64; 7]>,
@@ -73,6 +82,11 @@ impl SettingsArguments {
         set(&mut settings.outliers, self.outliers);
         set(&mut settings.statistic, self.statistic);
         set(&mut settings.every, self.every);
+        if self.sweep_nodes.is_some() {
+            settings.sweep.nodes = self.sweep_nodes;
+        }
+        set(&mut settings.sweep.roughness, self.roughness);
+        settings.sweep.keep_unsupported |= self.keep_unsupported;
         if let Some([x, y, z, qx, qy, qz, qw]) = self.calibration {
             settings.calibration.position_mm = [x, y, z];
             settings.calibration.quaternion = [qx, qy, qz, qw];

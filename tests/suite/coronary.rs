@@ -10,6 +10,7 @@ use lumenmesh::reconstruction::Reconstruction;
 use lumenmesh::recording::{Frame, Pullback, Recording};
 use lumenmesh::settings::Settings;
 use lumenmesh::surface::Outline;
+use lumenmesh::sweep::Sweep;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -252,5 +253,18 @@ fn the_commands_of_the_guide_work() {
     ] {
         let (found, _, said) = lumenmesh(&[&measure[..], &arguments].concat(), folder.path());
         assert!(found == status && said.contains(expected), "{found} {said}");
+    }
+}
+
+#[test]
+fn areas_of_a_swept_vessel_agree_too() {
+    for case in cases() {
+        let recording = &case.pullback.recording;
+        let mesh = Sweep::of(recording, &Settings::default()).unwrap().surface(true);
+        let sections = sections(&mesh, recording, Pose::IDENTITY).unwrap();
+        let differences = case.differences(sections.iter().map(|s| s.area_mm2));
+        let (median, largest) = (median(&differences), largest(&differences));
+        println!("{}: swept, {median:.2} % (median), {largest:.1} % (largest)", case.name);
+        assert!(median < 1.0 && largest < 5.0, "{}: {median} % {largest} %", case.name);
     }
 }

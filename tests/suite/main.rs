@@ -26,3 +26,4 @@ mod simulate;
 #[cfg(feature = "cli")]
 mod stdout;
 mod surface;
+mod sweep;

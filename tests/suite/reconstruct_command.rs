@@ -226,3 +226,30 @@ fn the_cylinders_are_written_iteration_by_iteration() {
     assert_eq!(lines[0], "19,0,0,0,4.500000000000");
     assert!(lines[3 * 72 - 1].starts_with("19,2,5,11,") && lines[3 * 72].starts_with("39,0,0,0,"));
 }
+
+#[test]
+fn a_swept_vessel_is_written_with_its_support() {
+    let folder = folder();
+    let arguments = ["rec.mat", "-o", "vessel.vtp", "--method", "sweep", "--json"];
+    let (status, out, said) = reconstruct(&arguments, folder.path());
+    assert_eq!(status, 0, "{said}");
+    let report: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!(report["echoes"], 3600);
+    assert_eq!(report["settings"]["method"], "sweep");
+    let cut = Surface::read(&folder.path().join("vessel.vtp")).unwrap();
+    for name in ["support", "residual_mm", "standard_error_mm", "frame", "supported"] {
+        assert!(cut.array(name).is_some(), "{name}");
+    }
+    assert!(cut.nodes_mm.iter().all(|p| (p.x.hypot(p.y) - 5.0).abs() < 1e-3));
+
+    let whole = ["rec.mat", "-o", "whole.ply", "--method", "sweep", "--keep-unsupported"];
+    let (status, out, said) = reconstruct(&whole, folder.path());
+    assert_eq!(status, 0, "{said}");
+    assert!(out.contains("mesh       whole.ply"), "{out}");
+    let whole = Surface::read(&folder.path().join("whole.ply")).unwrap();
+    assert_eq!(whole.nodes_mm.len() as u64, report["nodes"].as_u64().unwrap());
+    assert!(whole.nodes_mm.len() > cut.nodes_mm.len());
+
+    let cylinders = ["rec.mat", "-o", "no.vtp", "--method", "sweep", "--cylinders", "no.csv"];
+    refused(folder.path(), &cylinders, 1, "--cylinders");
+}

@@ -1,0 +1,401 @@
+//! The wall as a function on a grid about the axis: its faces, its bending, and the least-squares equations over it.
+
+use super::banded::{Factored, Pentadiagonal};
+use super::median;
+use realfft::num_complex::Complex64;
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+/// `rings` rings of `nodes` nodes; node (k, j) has index `k·nodes + j` and lies at `θ = 2πj/nodes`. Faces and
+/// triangles are those of [`crate::tube::Tube`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Grid {
+    pub rings: usize,
+    pub nodes: usize,
+    /// Distance of two rings, mm.
+    pub step_mm: f64,
+    /// Distance of two nodes of a ring, mm, on a tube of the median radius.
+    pub arc_mm: f64,
+}
+
+/// A place on the grid: the triangle that it lies in, as node indices, and its barycentric weights there.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Corners {
+    /// a, b or a', b'.
+    pub nodes: [usize; 3],
+    pub weights: [f64; 3],
+    /// Whether it is the bottom triangle (a, b, b').
+    pub bottom: bool,
+}
+
+impl Corners {
+    /// The node that has the largest weight.
+    pub(super) fn nearest(&self) -> usize {
+        let nearest = (1..3).fold(0, |best, k| if self.weights[k] > self.weights[best] { k } else { best });
+        self.nodes[nearest]
+    }
+}
+
+impl Grid {
+    pub(super) fn new(rings: usize, nodes: usize, step_mm: f64, radius_mm: f64) -> Self {
+        Self { rings, nodes, step_mm, arc_mm: TAU * radius_mm / nodes as f64 }
+    }
+
+    pub(super) fn node_count(&self) -> usize {
+        self.rings * self.nodes
+    }
+
+    /// The triangle at `ring` (0 to rings - 1) and `node` (any number; the grid is closed that way).
+    pub(super) fn corners(&self, ring: f64, node: f64) -> Corners {
+        let level = (ring.max(0.0) as usize).min(self.rings - 2);
+        let up = (ring - level as f64).clamp(0.0, 1.0);
+        let around = node.rem_euclid(self.nodes as f64);
+        let j = (around as usize).min(self.nodes - 1);
+        let round = (around - j as f64).clamp(0.0, 1.0);
+        let next = if j + 1 == self.nodes { 0 } else { j + 1 };
+        let row = level * self.nodes;
+        let (a, b, b_up, a_up) = (row + j, row + next, row + self.nodes + next, row + self.nodes + j);
+        if round >= up {
+            Corners { nodes: [a, b, b_up], weights: [1.0 - round, round - up, up], bottom: true }
+        } else {
+            Corners { nodes: [a, a_up, b_up], weights: [1.0 - up, up - round, round], bottom: false }
+        }
+    }
+
+    /// The median radius that distances about the axis are taken at, mm.
+    pub(super) fn radius_mm(&self) -> f64 {
+        self.arc_mm * self.nodes as f64 / TAU
+    }
+
+    /// Area that a node stands for, mm².
+    pub(super) fn cell_mm2(&self) -> f64 {
+        self.step_mm * self.arc_mm
+    }
+
+    /// Adds the gradient of the bending energy `½ ∫ r_ss² + 2 r_sθ² + r_θθ² dA` at `x`, times `weight`, to `out`.
+    ///
+    /// Second differences along the axis are left out on the end rings: a straight wall bends nowhere, so ends
+    /// are free and a cone stays a cone.
+    fn add_bending(&self, x: &[f64], weight: f64, out: &mut [f64]) {
+        let Self { rings, nodes, step_mm, arc_mm } = *self;
+        let area = self.cell_mm2() * weight;
+        let along = area / step_mm.powi(4);
+        let around = area / arc_mm.powi(4);
+        let twist = 2.0 * area / (step_mm * arc_mm).powi(2);
+        let next = |j: usize| if j + 1 == nodes { 0 } else { j + 1 };
+        let mut bend = vec![0.0; nodes];
+        for k in 0..rings {
+            let row = k * nodes;
+            if k >= 1 && k + 1 < rings {
+                for i in row..row + nodes {
+                    let d = along * (x[i - nodes] - 2.0 * x[i] + x[i + nodes]);
+                    out[i - nodes] += d;
+                    out[i] -= 2.0 * d;
+                    out[i + nodes] += d;
+                }
+            }
+            let ring = &x[row..row + nodes];
+            let before = |j: usize| if j == 0 { nodes - 1 } else { j - 1 };
+            for j in 0..nodes {
+                bend[j] = around * (ring[before(j)] - 2.0 * ring[j] + ring[next(j)]);
+            }
+            for j in 0..nodes {
+                out[row + j] += bend[before(j)] - 2.0 * bend[j] + bend[next(j)];
+            }
+            if k + 1 < rings {
+                for j in 0..nodes {
+                    let (a, b) = (row + j, row + next(j));
+                    let d = twist * (x[b + nodes] - x[a + nodes] - x[b] + x[a]);
+                    out[b + nodes] += d;
+                    out[a + nodes] -= d;
+                    out[b] -= d;
+                    out[a] += d;
+                }
+            }
+        }
+    }
+}
+
+/// Weighted sums over points, as far as they couple neighbouring nodes.
+#[derive(Debug, Clone)]
+pub(super) struct Equations {
+    /// First node held.
+    first: usize,
+    /// Per node: coupling to itself, to (k, j+1), (k+1, j) and (k+1, j+1), and the right-hand side.
+    rows: Vec<[f64; 5]>,
+}
+
+impl Equations {
+    /// No points yet, over the rings `rings` of a grid.
+    pub(super) fn over(grid: &Grid, rings: std::ops::Range<usize>) -> Self {
+        let first = rings.start * grid.nodes;
+        Self { first, rows: vec![[0.0; 5]; rings.len() * grid.nodes] }
+    }
+
+    /// Adds a point: `weight · (x(corners) - value)²`.
+    pub(super) fn add(&mut self, corners: &Corners, weight: f64, value: f64) {
+        let [a, m, c] = corners.nodes.map(|n| n - self.first);
+        let [p, q, r] = corners.weights;
+        // a couples to b along the ring or to a' across; b to b' across, a' to b' along; a to b' always.
+        let (from_a, to_c) = if corners.bottom { (1, 2) } else { (2, 1) };
+        self.rows[a][0] += weight * p * p;
+        self.rows[m][0] += weight * q * q;
+        self.rows[c][0] += weight * r * r;
+        self.rows[a][from_a] += weight * p * q;
+        self.rows[m][to_c] += weight * q * r;
+        self.rows[a][3] += weight * p * r;
+        self.rows[a][4] += weight * p * value;
+        self.rows[m][4] += weight * q * value;
+        self.rows[c][4] += weight * r * value;
+    }
+
+    /// Adds sums over other points.
+    pub(super) fn merge(&mut self, other: &Self) {
+        let shift = other.first - self.first;
+        for (mine, theirs) in self.rows[shift..].iter_mut().zip(&other.rows) {
+            for (a, b) in mine.iter_mut().zip(theirs) {
+                *a += b;
+            }
+        }
+    }
+
+    /// `out = (points' couplings)·x`.
+    fn apply(&self, grid: &Grid, x: &[f64], out: &mut [f64]) {
+        out.fill(0.0);
+        let nodes = grid.nodes;
+        for k in 0..grid.rings {
+            for j in 0..nodes {
+                let a = k * nodes + j;
+                let [own, along, across, diagonal, _] = self.rows[a];
+                let b = if j + 1 == nodes { k * nodes } else { a + 1 };
+                let mut sum = own * x[a] + along * x[b];
+                out[b] += along * x[a];
+                if k + 1 < grid.rings {
+                    sum += across * x[a + nodes] + diagonal * x[b + nodes];
+                    out[a + nodes] += across * x[a];
+                    out[b + nodes] += diagonal * x[a];
+                }
+                out[a] += sum;
+            }
+        }
+    }
+
+    /// Total weight of the points on each ring.
+    fn ring_weights(&self, grid: &Grid) -> Vec<f64> {
+        let mut weights = vec![0.0; self.rows.len()];
+        self.apply(grid, &vec![1.0; self.rows.len()], &mut weights);
+        weights.chunks_exact(grid.nodes).map(|ring| ring.iter().sum()).collect()
+    }
+}
+
+/// The minimum of `Σ w (x - y)² + λ ∫ |bending|² dA` over the values at a grid's nodes.
+///
+/// Found by conjugate gradients without a matrix. The preconditioner is the same problem with the weights of each ring
+/// spread evenly over it: a Fourier transform about the axis parts it into one pentadiagonal system for each
+/// frequency. It grasps the bending fully, so the count of steps hardly grows with the number of nodes.
+pub(super) struct Solver {
+    grid: Grid,
+    forward: Arc<dyn RealToComplex<f64>>,
+    backward: Arc<dyn ComplexToReal<f64>>,
+}
+
+/// Steps after which conjugate gradients give up to come nearer.
+const MOST_STEPS: usize = 100;
+
+impl Solver {
+    pub(super) fn new(grid: Grid) -> Self {
+        let mut planner = RealFftPlanner::new();
+        let (forward, backward) =
+            (planner.plan_fft_forward(grid.nodes), planner.plan_fft_inverse(grid.nodes));
+        Self { grid, forward, backward }
+    }
+
+    /// Improves `x` until the residual is `tolerance` times that of `x = 0`; returns the number of steps.
+    pub(super) fn solve(
+        &self,
+        equations: &Equations,
+        smoothness: f64,
+        tolerance: f64,
+        x: &mut [f64],
+    ) -> usize {
+        let count = self.grid.node_count();
+        let precondition = self.preconditioner(equations, smoothness);
+        let right: Vec<f64> = equations.rows.iter().map(|row| row[4]).collect();
+        let mut product = vec![0.0; count];
+        let apply = |x: &[f64], out: &mut [f64]| {
+            equations.apply(&self.grid, x, out);
+            self.grid.add_bending(x, smoothness, out);
+        };
+        apply(x, &mut product);
+        let mut residual: Vec<f64> = right.iter().zip(&product).map(|(b, a)| b - a).collect();
+        let mut z = right;
+        self.precondition(&precondition, &mut z);
+        // In the norm of the preconditioner, which weighs a misfit by what it does to x.
+        let enough =
+            tolerance * tolerance * dot(&z, &equations.rows.iter().map(|row| row[4]).collect::<Vec<_>>());
+        z.copy_from_slice(&residual);
+        self.precondition(&precondition, &mut z);
+        let mut direction = z.clone();
+        let mut size = dot(&residual, &z);
+        for step in 0..MOST_STEPS {
+            if size.is_nan() || size <= enough {
+                return step;
+            }
+            apply(&direction, &mut product);
+            let length = size / dot(&direction, &product);
+            if !length.is_finite() {
+                return step;
+            }
+            for i in 0..count {
+                x[i] += length * direction[i];
+                residual[i] -= length * product[i];
+            }
+            z.copy_from_slice(&residual);
+            self.precondition(&precondition, &mut z);
+            let next = dot(&residual, &z);
+            let turn = next / size;
+            size = next;
+            for i in 0..count {
+                direction[i] = z[i] + turn * direction[i];
+            }
+        }
+        MOST_STEPS
+    }
+
+    /// One system for each frequency about the axis.
+    fn preconditioner(&self, equations: &Equations, smoothness: f64) -> Vec<Factored> {
+        let Grid { rings, nodes, step_mm, arc_mm } = self.grid;
+        let mut weights: Vec<f64> =
+            equations.ring_weights(&self.grid).into_iter().map(|w| w / nodes as f64).collect();
+        // Rings without points must not make a system singular.
+        let floor = 1e-6 * median(&mut weights.clone()).max(f64::MIN_POSITIVE) + 1e-12;
+        weights.iter_mut().for_each(|w| *w += floor);
+        let area = smoothness * self.grid.cell_mm2();
+        (0..=nodes / 2)
+            .filter_map(|frequency| {
+                let around = (2.0 - 2.0 * (TAU * frequency as f64 / nodes as f64).cos()) / (arc_mm * arc_mm);
+                let mut system = Pentadiagonal::second_differences(rings, area / step_mm.powi(4));
+                for (ring, weight) in weights.iter().enumerate() {
+                    system.add_diagonal(ring, weight + area * around * around);
+                }
+                for ring in 0..rings - 1 {
+                    system.add_pair(ring, 2.0 * area * around / (step_mm * step_mm), [-1.0, 1.0]);
+                }
+                system.factored()
+            })
+            .collect()
+    }
+
+    fn precondition(&self, systems: &[Factored], x: &mut [f64]) {
+        let Grid { rings, nodes, .. } = self.grid;
+        let frequencies = nodes / 2 + 1;
+        let mut spectrum = vec![Complex64::default(); rings * frequencies];
+        let mut scratch = self.forward.make_scratch_vec();
+        for (ring, out) in x.chunks_exact_mut(nodes).zip(spectrum.chunks_exact_mut(frequencies)) {
+            // Fails only where lengths differ from the plan's.
+            let _ = self.forward.process_with_scratch(ring, out, &mut scratch);
+        }
+        let mut column = vec![Complex64::default(); rings];
+        for (frequency, system) in systems.iter().enumerate() {
+            for ring in 0..rings {
+                column[ring] = spectrum[ring * frequencies + frequency];
+            }
+            column = system.solve(column);
+            for ring in 0..rings {
+                spectrum[ring * frequencies + frequency] = column[ring] / nodes as f64;
+            }
+        }
+        let mut scratch = self.backward.make_scratch_vec();
+        for (ring, out) in x.chunks_exact_mut(nodes).zip(spectrum.chunks_exact_mut(frequencies)) {
+            // These two are real; rounding must not make the transform refuse them.
+            out[0].im = 0.0;
+            if nodes % 2 == 0 {
+                out[frequencies - 1].im = 0.0;
+            }
+            let _ = self.backward.process_with_scratch(out, ring, &mut scratch);
+        }
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GRID: Grid = Grid { rings: 6, nodes: 8, step_mm: 1.3, arc_mm: 0.9 };
+
+    fn some_equations() -> Equations {
+        let mut equations = Equations::over(&GRID, 0..GRID.rings);
+        for i in 0..200 {
+            let (ring, node) = (5.0 * (0.618 * f64::from(i)).fract(), 8.0 * (0.414 * f64::from(i)).fract());
+            equations.add(&GRID.corners(ring, node), 1.0 + 0.01 * f64::from(i), (0.1 * f64::from(i)).sin());
+        }
+        equations
+    }
+
+    fn residual(equations: &Equations, smoothness: f64, x: &[f64]) -> f64 {
+        let mut product = vec![0.0; x.len()];
+        equations.apply(&GRID, x, &mut product);
+        GRID.add_bending(x, smoothness, &mut product);
+        product.iter().zip(&equations.rows).map(|(a, row)| (a - row[4]).abs()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn a_place_is_the_weighted_mean_of_its_corners() {
+        for (ring, node) in [(0.0, 0.0), (0.3, 0.7), (2.7, 7.9), (4.5, -0.2), (5.0, 8.0), (3.0, 3.0)] {
+            let corners = GRID.corners(ring, node);
+            assert!((corners.weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            assert!(corners.weights.iter().all(|w| *w >= 0.0));
+            let mean = |of: fn(usize) -> f64| -> f64 {
+                corners.nodes.iter().zip(corners.weights).map(|(&n, w)| w * of(n)).sum()
+            };
+            assert!((mean(|n| (n / 8) as f64) - ring).abs() < 1e-12, "{ring} {corners:?}");
+            let angle = |n: usize| (n % 8) as f64;
+            let around = corners.nodes.map(|n| (angle(n) - node + 4.0).rem_euclid(8.0) - 4.0);
+            let offset: f64 = around.iter().zip(corners.weights).map(|(a, w)| a * w).sum();
+            assert!(offset.abs() < 1e-12, "{node} {corners:?}");
+        }
+    }
+
+    #[test]
+    fn a_cone_bends_nowhere() {
+        let cone: Vec<f64> = (0..48).map(|i| 5.0 + 0.3 * f64::from(i / 8)).collect();
+        let mut bending = vec![0.0; 48];
+        GRID.add_bending(&cone, 7.0, &mut bending);
+        assert!(bending.iter().all(|b| b.abs() < 1e-9), "{bending:?}");
+        let mut dented = cone;
+        dented[20] += 1.0;
+        GRID.add_bending(&dented, 7.0, &mut bending);
+        assert!(bending[20] > 1.0);
+    }
+
+    #[test]
+    fn the_solver_solves_the_equations() {
+        let equations = some_equations();
+        for smoothness in [1e-4, 1.0, 1e4] {
+            let mut x = vec![0.0; 48];
+            let steps = Solver::new(GRID).solve(&equations, smoothness, 1e-12, &mut x);
+            let scale = 1.0 + smoothness;
+            assert!(residual(&equations, smoothness, &x) < 1e-9 * scale, "{smoothness}: {steps} steps");
+            assert!(steps < MOST_STEPS, "{smoothness}");
+            x[7] += 0.01;
+            assert!(residual(&equations, smoothness, &x) > 1e-6 * scale);
+        }
+    }
+
+    #[test]
+    fn sums_over_parts_are_the_whole() {
+        let mut parts = Equations::over(&GRID, 0..GRID.rings);
+        let mut some = Equations::over(&GRID, 2..5);
+        let corners = GRID.corners(2.6, 7.5);
+        some.add(&corners, 2.0, 3.0);
+        parts.merge(&some);
+        let mut whole = Equations::over(&GRID, 0..GRID.rings);
+        whole.add(&corners, 2.0, 3.0);
+        assert_eq!(parts.rows, whole.rows);
+    }
+}

@@ -1,0 +1,300 @@
+//! One smooth vessel from all echoes: a tube swept along the estimated centreline, its wall found by penalised least
+//! squares (`docs/methods.md`).
+//!
+//! Contours and poses are all it needs. Data flows one way: contour centres → `centreline` → `axis` → echoes about the
+//! axis → `wall` → support of every node → surface.
+
+mod axis;
+mod banded;
+mod centreline;
+mod grid;
+mod support;
+mod wall;
+
+pub use axis::Axis;
+pub use support::Support;
+
+use crate::recording::{Frame, Recording};
+use crate::settings::Settings;
+use crate::surface::Surface;
+use crate::tube::face_triangles;
+use crate::{Error, Result};
+
+use glam::DVec2;
+use grid::Grid;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::f64::consts::{PI, TAU};
+use std::time::Instant;
+use wall::Echo;
+
+/// A vessel swept along its centreline.
+///
+/// Node j of ring k has index `k·nodes + j` and lies at `θ = 2πj/nodes` of the axis's frame k.
+#[derive(Debug, Clone)]
+pub struct Sweep {
+    /// What the section was swept along.
+    pub axis: Axis,
+    /// N: nodes a ring.
+    pub nodes: usize,
+    /// Radius at every node, mm.
+    pub radii_mm: Vec<f64>,
+    /// What the radii rest on, node by node.
+    pub support: Support,
+    /// What was done, in numbers.
+    pub report: Report,
+}
+
+/// A sweep in numbers.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// Threads that it could use.
+    pub threads: usize,
+    /// Frames of the recording.
+    pub frames: usize,
+    /// Wall points in the recording.
+    pub echoes: usize,
+    /// Rays without an echo.
+    pub missing: usize,
+    /// Echoes beyond the ends of the axis.
+    pub beyond_ends: usize,
+    /// Echoes too far from the wall to have been seen on it: branches, wrong echoes.
+    pub off_wall: usize,
+    /// Length of the axis between the outermost supported rings, mm.
+    pub length_mm: f64,
+    /// Median radius of the contours, mm.
+    pub contour_radius_mm: f64,
+    /// Rings.
+    pub rings: usize,
+    /// Nodes, and how many of them are supported.
+    pub nodes: usize,
+    /// Supported nodes.
+    pub supported: usize,
+    /// Standard deviation of an echo about the wall within the image plane, mm.
+    pub noise_mm: f64,
+    /// The part of it along the wall, mm, as far as the contours show it.
+    pub tangential_noise_mm: f64,
+    /// λ: weight of the wall's bending against the echoes, mm².
+    pub smoothness_mm2: f64,
+    /// Robust reweightings.
+    pub iterations: usize,
+    /// Steps of the solver, summed over the iterations.
+    pub solver_steps: usize,
+    /// How long each stage took.
+    pub seconds: StageSeconds,
+}
+
+/// Wall-clock time of each stage, in seconds.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct StageSeconds {
+    /// Finding the axis.
+    pub axis: f64,
+    /// Placing the echoes about it.
+    pub place: f64,
+    /// Fitting the wall.
+    pub fit: f64,
+    /// Weighing its support.
+    pub support: f64,
+}
+
+/// The axis is prolonged by so many contour radii at both ends: echoes of tilted frames lie there.
+const BEYOND_RADII: f64 = 1.5;
+/// Fewest echoes that a node stands for on average.
+const ECHOES_PER_NODE: f64 = 4.0;
+/// Nodes that a machine holds without trouble.
+const MOST_NODES: f64 = 5e7;
+/// Nodes a ring, where the recording decides.
+const NODES_PER_RING: std::ops::RangeInclusive<usize> = 16..=128;
+
+impl Sweep {
+    /// Reconstructs the vessel of a recording; cylinder models in it are not looked at.
+    ///
+    /// # Errors
+    /// Where settings are invalid, a frame cannot be used, or the contours cover no length of a vessel.
+    pub fn of(recording: &Recording, settings: &Settings) -> Result<Self> {
+        settings.validate()?;
+        recording.check()?;
+        let start = Instant::now();
+        let sensor_from_probe = settings.calibration.sensor_from_probe();
+        let frames = &recording.frames;
+        let poses: Vec<_> = frames.iter().map(|f| f.world_from_sensor * sensor_from_probe).collect();
+        let mut centres_mm = Vec::new();
+        let mut contour_radii = Vec::new();
+        for (frame, pose) in frames.iter().zip(&poses) {
+            if let Some((centre, radius)) = frame.centroid_mm().zip(contour_radius_mm(frame)) {
+                centres_mm.push(pose.transform_point(centre.extend(0.0)));
+                contour_radii.push(radius);
+            }
+        }
+        let radius_mm = median(&mut contour_radii);
+        let curve = (radius_mm > 0.0).then(|| centreline::centreline(&centres_mm, radius_mm)).flatten();
+        let Some(curve) = curve else {
+            return Err(Error::Frame {
+                frame: 0,
+                field: "centreline",
+                found: format!("contours in {} frames that cover no length", centres_mm.len()),
+                expected: "contours along at least a lumen's radius of the vessel".into(),
+            });
+        };
+        let echo_count: usize = frames.iter().map(|f| f.echoes_mm().count()).sum();
+        let length_mm = centreline::lengths(&curve).last().copied().unwrap_or(0.0);
+        // More than two rings for each frame would have nothing to rest on.
+        let least_step_mm = length_mm / centres_mm.len() as f64 / 2.0;
+        let nodes = match settings.sweep.nodes {
+            Some(nodes) => nodes as usize,
+            None => {
+                let affordable = echo_count as f64 / ECHOES_PER_NODE;
+                let even = (affordable * TAU * radius_mm / length_mm).sqrt();
+                let sparse = affordable * least_step_mm / length_mm;
+                let rays = median(&mut frames.iter().map(|f| f.contour_mm.len() as f64).collect::<Vec<_>>());
+                (rays.min(even.max(sparse)) as usize & !1)
+                    .clamp(*NODES_PER_RING.start(), *NODES_PER_RING.end())
+            }
+        };
+        let step_mm = (TAU * radius_mm / nodes as f64).max(least_step_mm);
+        if length_mm / step_mm * nodes as f64 > MOST_NODES {
+            return Err(Error::Setting {
+                name: "sweep.nodes",
+                found: format!("{nodes} a ring of {radius_mm:.3} mm radius along {length_mm:.0} mm"),
+                expected: format!("at most {MOST_NODES} in all"),
+            });
+        }
+        let axis = Axis::along(&curve, step_mm, BEYOND_RADII * radius_mm);
+        let axis_seconds = start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        let mut echoes: Vec<Echo> = frames
+            .par_iter()
+            .zip(&poses)
+            .enumerate()
+            .flat_map_iter(|(k, (frame, pose))| {
+                let to_world = |p: DVec2| pose.transform_point(p.extend(0.0));
+                let centre = frame.centroid_mm().or_else(|| frame.echoes_mm().next());
+                let near = centre.map_or(0, |centre| axis.nearest_ring(to_world(centre)));
+                let axis = &axis;
+                frame.echoes_mm().filter_map(move |echo| {
+                    let place = axis.place(to_world(echo), near)?;
+                    Some(Echo::new(&place, pose.rotation.z_axis, k as u32, nodes))
+                })
+            })
+            .collect();
+        echoes.par_sort_by(|a, b| a.ring().total_cmp(&b.ring()));
+        let place_seconds = start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        let grid = Grid::new(axis.rings(), nodes, axis.step_mm, radius_mm);
+        let mut wall = wall::fit(&grid, &mut echoes, settings.sweep.roughness);
+        // Noise along a round wall moves echoes outwards: half its variance times the wall's curvature.
+        let tangential_noise_mm = tangential_noise_mm(frames).min(wall.noise_mm);
+        for radius in &mut wall.radii_mm {
+            *radius -=
+                tangential_noise_mm * tangential_noise_mm / (2.0 * radius.abs().max(tangential_noise_mm));
+        }
+        let fit_seconds = start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        let support = Support::of(&grid, &echoes, &wall);
+        let supported_rings =
+            || (0..grid.rings).filter(|&k| support.supported[k * nodes..(k + 1) * nodes].contains(&true));
+        let length_mm = match (supported_rings().next(), supported_rings().next_back()) {
+            (Some(first), Some(last)) => (last - first) as f64 * axis.step_mm,
+            _ => 0.0,
+        };
+        let report = Report {
+            threads: rayon::current_num_threads(),
+            frames: frames.len(),
+            echoes: echo_count,
+            missing: frames.iter().map(Frame::missing_echoes).sum(),
+            beyond_ends: echo_count - echoes.len(),
+            off_wall: echoes.iter().filter(|e| !e.is_inlier(wall.noise_mm)).count(),
+            length_mm,
+            contour_radius_mm: radius_mm,
+            rings: grid.rings,
+            nodes: grid.node_count(),
+            supported: support.supported.iter().filter(|s| **s).count(),
+            noise_mm: wall.noise_mm,
+            tangential_noise_mm,
+            smoothness_mm2: wall.smoothness_mm2,
+            iterations: wall.iterations,
+            solver_steps: wall.solver_steps,
+            seconds: StageSeconds {
+                axis: axis_seconds,
+                place: place_seconds,
+                fit: fit_seconds,
+                support: start.elapsed().as_secs_f64(),
+            },
+        };
+        Ok(Self { axis, nodes, radii_mm: wall.radii_mm, support, report })
+    }
+
+    /// The vessel as a triangle surface, normals outward, open at its ends; without the nodes that are not
+    /// supported unless `keep_unsupported`. Arrays: `support` (echoes), `residual_mm`, `standard_error_mm`, `frame`
+    /// (last seen), `supported` (1 or 0).
+    pub fn surface(&self, keep_unsupported: bool) -> Surface {
+        let nodes = self.nodes;
+        let is_kept = |node: usize| keep_unsupported || self.support.supported[node];
+        let mut triangles: Vec<[u32; 3]> = (1..self.axis.rings())
+            .flat_map(|ring| {
+                (0..nodes).map(move |j| ((ring - 1) * nodes + j, (ring - 1) * nodes + (j + 1) % nodes))
+            })
+            .flat_map(|(a, b)| face_triangles(a as u32, b as u32, (b + nodes) as u32, (a + nodes) as u32))
+            .filter(|triangle| triangle.iter().all(|&n| is_kept(n as usize)))
+            .collect();
+        let mut index = vec![u32::MAX; self.radii_mm.len()];
+        triangles.iter().flatten().for_each(|&n| index[n as usize] = 0);
+        let kept: Vec<usize> = (0..index.len()).filter(|&n| index[n] == 0).collect();
+        kept.iter().zip(0..).for_each(|(&n, new)| index[n] = new);
+        triangles.iter_mut().flatten().for_each(|n| *n = index[*n as usize]);
+        let position = |&n: &usize| {
+            self.axis.point_mm(n / nodes, TAU * (n % nodes) as f64 / nodes as f64, self.radii_mm[n])
+        };
+        let mut surface =
+            Surface { nodes_mm: kept.iter().map(position).collect(), triangles, arrays: Vec::new() };
+        let Support { echoes, residual_mm, standard_error_mm, last_frame, supported } = &self.support;
+        let mut array = |name, value: &dyn Fn(usize) -> f64| {
+            surface.set_array(name, kept.iter().map(|&n| value(n)).collect());
+        };
+        array("support", &|n| f64::from(echoes[n]));
+        array("residual_mm", &|n| residual_mm[n]);
+        array("standard_error_mm", &|n| standard_error_mm[n]);
+        array("frame", &|n| last_frame[n].map_or(f64::NAN, f64::from));
+        array("supported", &|n| f64::from(u8::from(supported[n])));
+        surface
+    }
+}
+
+/// Radius of the circle with the area inside the contour, mm.
+fn contour_radius_mm(frame: &Frame) -> Option<f64> {
+    let first = frame.echoes_mm().next()?;
+    let points = || frame.echoes_mm().map(|p| p - first);
+    let twice_area: f64 = points().zip(points().skip(1)).map(|(a, b)| a.perp_dot(b)).sum();
+    Some((twice_area.abs() / TAU).sqrt())
+}
+
+/// Noise of the contours along the wall, mm.
+///
+/// A probe looks along rays at even angles; so do points that were drawn on its image, in pieces. Second differences
+/// of the angle from point to point therefore show the noise across the rays alone: they have six times its variance.
+fn tangential_noise_mm(frames: &[Frame]) -> f64 {
+    let mut jumps = Vec::new();
+    for frame in frames {
+        for triple in frame.contour_mm.windows(3) {
+            let [a, b, c] = [triple[0], triple[1], triple[2]];
+            if !(a.is_nan() || b.is_nan() || c.is_nan()) {
+                let turn = |d: f64| (d + PI).rem_euclid(TAU) - PI;
+                let [a, b_angle, c] = [a, b, c].map(|p| p.y.atan2(p.x));
+                jumps.push((turn(c - b_angle) - turn(b_angle - a)).abs() * b.length());
+            }
+        }
+    }
+    1.4826 * median(&mut jumps) / 6.0_f64.sqrt()
+}
+
+/// The upper median; 0 of nothing. Reorders the values.
+fn median(values: &mut [f64]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
