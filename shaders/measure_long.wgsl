@@ -7,7 +7,9 @@
 @group(0) @binding(3) var<storage, read> grouped: array<f32>;
 @group(0) @binding(4) var<storage, read> radii: array<f32>;
 @group(0) @binding(5) var<storage, read_write> statistics: array<TriangleStatistic>;
-@group(0) @binding(6) var<storage, read> long_faces: array<u32>;
+// Their number, then the faces; the last word counts the faces that were measured to the end. Some drivers cut loops
+// short without a word, and a face that was cut short must not pass for a result.
+@group(0) @binding(6) var<storage, read_write> long_faces: array<atomic<u32>>;
 // A key per point: in each face those of the bottom triangle from the front, of the top one from the back.
 @group(0) @binding(7) var<storage, read_write> keys: array<u32>;
 
@@ -23,6 +25,8 @@ var<workgroup> kept: atomic<u32>;
 var<workgroup> sum_low: array<atomic<u32>, 2>;
 var<workgroup> sum_high: array<atomic<u32>, 2>;
 var<workgroup> shared_count: u32;
+// Keys that the last loop over them has met, in both triangles.
+var<workgroup> seen: atomic<u32>;
 
 fn key_at(begin: u32, end: u32, half: u32, entry: u32) -> u32 {
     return keys[select(begin + entry, end - 1u - entry, half == 1u)];
@@ -94,11 +98,11 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     if (local == 0u) {
-        shared_count = long_faces[0];
+        shared_count = atomicLoad(&long_faces[0]);
     }
     let long_count = workgroupUniformLoad(&shared_count);
     for (var index = workgroup_index(group, groups); index < long_count; index += groups.x * groups.y) {
-        let face_of_all = long_faces[index + 1u];
+        let face_of_all = atomicLoad(&long_faces[index + 1u]);
         let cylinder = face_of_all / job.faces;
         let face = face_of_all % job.faces;
         let rule = cylinders[cylinder];
@@ -112,6 +116,9 @@ fn main(
         let corners = Face(radii[row + k] - a, radii[row + job.nodes + k] - a, radii[row + job.nodes + j] - a);
         if (local < 2u) {
             atomicStore(&number[local], 0u);
+        }
+        if (local == 0u) {
+            atomicStore(&seen, 0u);
         }
         workgroupBarrier();
         for (var i = begin + local; i < end; i += THREADS) {
@@ -161,12 +168,14 @@ fn main(
                 workgroupBarrier();
             }
 
+            var own_seen = 0u;
             var own_below = 0u;
             var own_kept = 0u;
             var own_sum = Wide(0u, 0u);
             var own_size = Wide(0u, 0u);
             for (var entry = local; entry < n; entry += THREADS) {
                 let d = number_of(key_at(begin, end, half, entry));
+                own_seen += 1u;
                 if (d < bounds.low) {
                     own_below += 1u;
                 } else if (d <= bounds.high) {
@@ -176,6 +185,7 @@ fn main(
                     own_size = add_wide(own_size, widen(abs(step)));
                 }
             }
+            atomicAdd(&seen, own_seen);
             atomicAdd(&below, own_below);
             atomicAdd(&kept, own_kept);
             add_to_sum(0u, own_sum);
@@ -201,5 +211,9 @@ fn main(
             }
             workgroupBarrier();
         }
+        if (local == 0u && atomicLoad(&seen) == end - begin) {
+            atomicAdd(&long_faces[arrayLength(&long_faces) - 1u], 1u);
+        }
+        workgroupBarrier();
     }
 }

@@ -50,6 +50,16 @@ pub enum GpuError {
         /// How long was waited, in seconds.
         seconds: u64,
     },
+    /// The device did not measure every face to the end: a driver that cuts long loops short.
+    #[error(
+        "the device measured {finished} of {expected} faces with many points to the end; use the CPU for these"
+    )]
+    Unfinished {
+        /// Faces that were measured, over all iterations.
+        finished: u32,
+        /// Faces that should have been.
+        expected: u32,
+    },
     /// The device is gone.
     #[error("the device was lost: {reason}")]
     Lost {

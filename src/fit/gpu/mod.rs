@@ -259,8 +259,8 @@ impl GpuEngine {
                 stages::begin(&self.context, workspace, done, settings, radii_mm, history, sections)?
             }
         };
-        let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "history"];
-        let names = if history { &names[..] } else { &names[..6] };
+        let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "long_faces", "history"];
+        let names = if history { &names[..] } else { &names[..7] };
         let read = self.run(workspace, names, |encoder| {
             workspace.record(&self.context, &self.pipelines, encoder, done, history, &mut |_| None)
         })?;
@@ -268,7 +268,14 @@ impl GpuEngine {
         let numbers = |k: usize| bytemuck::pod_collect_to_vec::<u8, f32>(&read[k]);
         let (radii, support, residuals) = (numbers(0), words(1), numbers(2));
         let (travels, tallies, gated) = (words(3), words(4), words(5));
-        let history_radii = if history { numbers(6) } else { Vec::new() };
+        let history_radii = if history { numbers(7) } else { Vec::new() };
+        // Every long face, in every iteration of the device.
+        let long_faces = words(6);
+        let (listed, finished) = (long_faces[0], long_faces[long_faces.len() - 1]);
+        let expected = listed.wrapping_mul(settings.iterations - done.iterations());
+        if finished != expected {
+            return Err(GpuError::Unfinished { finished, expected });
+        }
         let tube = Tube::new(settings);
         let (count, iterations) = (tube.node_count(), settings.iterations as usize);
         let stride = workspace.travel_stride() as usize / 4;

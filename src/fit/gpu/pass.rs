@@ -109,7 +109,7 @@ pub static PASSES: [Pass; 13] = [
     ]),
     pass!("measure_long", Iterate, LongFaces, 256, [DISTANCE, FILTER], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
-        "long_faces": Read, "keys": Write,
+        "long_faces": Write, "keys": Write,
     ]),
     pass!("fill_bottom", Iterate, Faces, 64, [], ["statistics": Read, "values": Write]),
     pass!("fill_top", Iterate, Faces, 64, [], ["statistics": Read, "values": Write]),

@@ -61,7 +61,8 @@ pub(super) fn sizes(
         ("block_sums", 4 * faces.div_ceil(1024)),
         ("offsets", 4 * (faces + 1)),
         ("grouped", 12 * slots),
-        ("long_faces", 4 * (1 + slots / u64::from(job.short_most + 1))),
+        // Their number, the faces, and how many of them were measured to the end.
+        ("long_faces", 4 * (2 + slots / u64::from(job.short_most + 1))),
         ("keys", if slots > u64::from(job.short_most) { 4 * slots } else { 4 }),
         ("primitive", 4 * nodes),
         ("radii", 4 * nodes),
@@ -310,7 +311,9 @@ impl Workspace {
         for name in ["counts", "travels", "tallies"] {
             encoder.clear_buffer(&self.buffers[name], 0, None);
         }
-        encoder.clear_buffer(&self.buffers["long_faces"], 0, Some(4));
+        let long_faces = &self.buffers["long_faces"];
+        encoder.clear_buffer(long_faces, 0, Some(4));
+        encoder.clear_buffer(long_faces, long_faces.size() - 4, None);
         if done < CpuStages::Project {
             encoder.clear_buffer(&self.buffers["gated"], 0, None);
         }
