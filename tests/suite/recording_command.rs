@@ -1,29 +1,12 @@
 //! `lumenmesh info` and `lumenmesh import` as a user runs them.
 
-use crate::support::shared;
+use crate::support::{lumenmesh, names, shared};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use lumenmesh::cylinder::{CylinderEstimator, LocalEstimate};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Centreline, Frame, Pullback, Recording, Summary};
 use serde_json::Value;
 use std::f64::consts::TAU;
-use std::path::Path;
-use std::process::Command;
-
-/// Exit status, stdout and stderr.
-fn lumenmesh(arguments: &[&str], folder: &Path) -> (i32, String, String) {
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_lumenmesh")).args(arguments).current_dir(folder).output().unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
-}
-
-fn names(folder: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(folder).unwrap();
-    let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
-}
 
 /// A circle of radius 5 mm seen from its middle, 0.5 mm and 0.1 s further on in each of 60 frames.
 fn some_recording() -> Recording {
