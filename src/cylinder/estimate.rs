@@ -1,4 +1,4 @@
-use super::CylinderModel;
+use super::{CylinderModel, MOST_RADIUS_MM};
 use crate::geometry::Pose;
 use crate::recording::Frame;
 use glam::{DMat3, DVec2, DVec3};
@@ -9,7 +9,8 @@ use std::collections::VecDeque;
 /// Frames are shown in the order in which they arrive; an estimate uses that frame and earlier ones only, so
 /// that it is there while the catheter still moves.
 pub trait CylinderEstimator {
-    /// Takes the next frame and returns its cylinder; `None` where the frame shows no wall.
+    /// Takes the next frame and returns its cylinder; `None` where the frame shows no wall, or one whose radius
+    /// [`Recording::check`](crate::recording::Recording::check) would refuse.
     fn push(&mut self, frame: &Frame) -> Option<CylinderModel>;
 }
 
@@ -124,7 +125,8 @@ fn about(frame: &Frame, centre_mm: DVec2, axis: DVec3, sensor_from_probe: &Pose)
     let to_plane = -centre.z / axis.z;
     let foot = centre + axis * to_plane;
     let model = CylinderModel::from_axis(foot.x, foot.y, axis, radius_mm);
-    (axis.z.abs() > 1e-3 && model.is_finite() && radius_mm > 0.0).then_some(model)
+    (axis.z.abs() > 1e-3 && model.is_finite() && (0.0 < radius_mm && radius_mm <= MOST_RADIUS_MM))
+        .then_some(model)
 }
 
 /// The direction along which points spread most, by power iteration from a guess.
@@ -271,6 +273,23 @@ mod tests {
         assert_eq!(estimate.push(&frame), None);
         frame.contour_mm = vec![DVec2::ONE; 60];
         assert_eq!(estimate.push(&frame), None);
+    }
+
+    #[test]
+    fn a_radius_beyond_any_vessel_is_no_estimate() {
+        let scaled = |factor: f64| {
+            let mut frame = frame(0.0, 0.0, 0.0, Pose::IDENTITY);
+            frame.contour_mm.iter_mut().for_each(|p| *p *= factor);
+            let upright = Upright { sensor_from_probe: Pose::IDENTITY }.push(&frame);
+            [LocalEstimate::default().push(&frame), upright]
+        };
+        for model in scaled(999.0) {
+            assert!((model.unwrap().radius_mm - 9990.0).abs() < 1e-6, "{model:?}");
+        }
+        // The last two overflow: areas, and then lengths too.
+        for factor in [1001.0, 1e30, 1e160, 1e307] {
+            assert_eq!(scaled(factor), [None, None], "{factor}");
+        }
     }
 
     #[test]

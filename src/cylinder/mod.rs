@@ -7,6 +7,9 @@ pub use estimate::{CylinderEstimator, LocalEstimate, Upright};
 use crate::geometry::Pose;
 use glam::{DMat3, DVec3};
 
+/// Beyond any vessel, and far enough within f32 that squares of lengths are too.
+pub(crate) const MOST_RADIUS_MM: f64 = 10_000.0;
+
 /// A cylinder in the tracker sensor's frame `{e}`: where its axis meets the plane z = 0, which way the axis
 /// points, and how wide it is (thesis, Eq. 4).
 #[derive(Debug, Clone, Copy, PartialEq)]

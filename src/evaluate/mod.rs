@@ -1,7 +1,7 @@
 //! How far a mesh is from the truth: the fitting error.
 //!
 //! The thesis prints several "overall errors" without saying what they are. Here every number has its definition in
-//! [`DEFINITIONS`], which the command prints beside it.
+//! [`DEFINITIONS`], which the command gives in its help and its JSON.
 
 mod coverage;
 mod locator;

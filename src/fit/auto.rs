@@ -2,7 +2,8 @@ use super::passes::Section;
 use super::{CpuEngine, DeformedTube, Engine, EngineDescription, FittedCylinder, Job};
 use crate::Result;
 use crate::settings::Settings;
-use std::sync::{Mutex, PoisonError};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Fits on whatever is likely to be fastest for the work at hand, and on the CPU where a device fails.
 ///
@@ -13,7 +14,16 @@ use std::sync::{Mutex, PoisonError};
 pub struct AutoEngine {
     last: Mutex<EngineDescription>,
     #[cfg(feature = "gpu")]
-    device: std::sync::OnceLock<Result<super::gpu::GpuEngine, String>>,
+    device: Mutex<Option<Device>>,
+}
+
+/// The device of the last call that looked for one.
+#[cfg(feature = "gpu")]
+struct Device {
+    /// The setting that it was looked for by.
+    adapter: Option<String>,
+    /// What was found, or why there is none.
+    engine: Result<std::sync::Arc<super::gpu::GpuEngine>, String>,
 }
 
 impl AutoEngine {
@@ -67,15 +77,9 @@ impl AutoEngine {
         }
         #[cfg(feature = "gpu")]
         {
-            let device = self.device.get_or_init(|| {
-                if settings.adapter.is_none() {
-                    Self::choose(&super::gpu::adapters())?;
-                }
-                super::gpu::GpuEngine::new(settings.adapter.as_deref()).map_err(|e| e.to_string())
-            });
-            match device {
-                Err(why) => on_cpu(why.clone()),
-                Ok(gpu) => match work(gpu) {
+            match self.device(settings.adapter.as_deref()) {
+                Err(why) => on_cpu(why),
+                Ok(gpu) => match work(&*gpu) {
                     Err(crate::Error::Gpu(failure)) => on_cpu(format!("the device failed: {failure}")),
                     done => {
                         let why = format!("the work is about {cpu_seconds:.1} s on the CPU");
@@ -92,14 +96,60 @@ impl AutoEngine {
         }
     }
 
+    /// The device of that name, or the best one: started once for calls that ask for the same.
+    #[cfg(feature = "gpu")]
+    fn device(&self, adapter: Option<&str>) -> Result<std::sync::Arc<super::gpu::GpuEngine>, String> {
+        let mut device = locked(&self.device);
+        if let Some(device) = device.as_ref().filter(|d| d.adapter.as_deref() == adapter) {
+            return device.engine.clone();
+        }
+        let start = || {
+            if adapter.is_none() {
+                Self::choose(&super::gpu::adapters())?;
+            }
+            super::gpu::GpuEngine::new(adapter).map(std::sync::Arc::new).map_err(|e| e.to_string())
+        };
+        let engine = start();
+        *device = Some(Device { adapter: adapter.map(str::to_owned), engine: engine.clone() });
+        engine
+    }
+
     fn note(&self, description: EngineDescription) {
-        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = description;
+        *locked(&self.last) = description;
+    }
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Progress of work that one engine may begin and another do all over: no cylinder is told of twice.
+struct Tally<'a> {
+    told: AtomicUsize,
+    tell: &'a (dyn Fn(usize) + Sync),
+}
+
+impl<'a> Tally<'a> {
+    fn new(tell: &'a (dyn Fn(usize) + Sync)) -> Self {
+        Self { told: AtomicUsize::new(0), tell }
+    }
+
+    /// The progress of an engine that begins.
+    fn attempt(&self) -> impl Fn(usize) + Sync + '_ {
+        let ready = AtomicUsize::new(0);
+        move |newly| {
+            let ready = ready.fetch_add(newly, Ordering::Relaxed) + newly;
+            let told = self.told.fetch_max(ready, Ordering::Relaxed);
+            if ready > told {
+                (self.tell)(ready - told);
+            }
+        }
     }
 }
 
 impl Engine for AutoEngine {
     fn describe(&self) -> EngineDescription {
-        self.last.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        locked(&self.last).clone()
     }
 
     fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>> {
@@ -108,7 +158,8 @@ impl Engine for AutoEngine {
             points += job.track.near(frame, job.settings)?.map(|near| near.echoes.len() as u64).sum::<u64>();
         }
         let seconds = Self::cpu_seconds(points, job.frames.len(), job.settings);
-        self.run(seconds, job.settings, |engine| engine.fit(job))
+        let tally = Tally::new(job.progress);
+        self.run(seconds, job.settings, |engine| engine.fit(&Job { progress: &tally.attempt(), ..*job }))
     }
 
     fn fit_section(
@@ -119,5 +170,29 @@ impl Engine for AutoEngine {
     ) -> Result<DeformedTube> {
         let seconds = Self::cpu_seconds(section.len() as u64, 1, settings);
         self.run(seconds, settings, |engine| engine.fit_section(section, radius_mm, settings))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cylinders_that_a_second_engine_repeats_are_told_of_once() {
+        let told = AtomicUsize::new(0);
+        let tell = |newly| {
+            assert!(newly > 0, "told of nothing");
+            told.fetch_add(newly, Ordering::Relaxed);
+        };
+        let tally = Tally::new(&tell);
+        let on_device = tally.attempt();
+        on_device(30);
+        on_device(20);
+        assert_eq!(told.load(Ordering::Relaxed), 50);
+        let on_cpu = tally.attempt();
+        (0..50).for_each(|_| on_cpu(1));
+        assert_eq!(told.load(Ordering::Relaxed), 50);
+        (50..80).for_each(|_| on_cpu(1));
+        assert_eq!(told.load(Ordering::Relaxed), 80);
     }
 }

@@ -1,5 +1,5 @@
 use super::passes::{Gate, Scalar, Section, TubeTransform, project};
-use crate::cylinder::CylinderEstimator;
+use crate::cylinder::{CylinderEstimator, CylinderModel};
 use crate::geometry::Pose;
 use crate::recording::{Frame, Recording};
 use crate::settings::Settings;
@@ -67,12 +67,16 @@ pub(super) fn empty_section(frame: usize, radius_mm: f64, gated: u64, settings: 
 }
 
 impl Track {
-    /// An empty track. Frames without a cylinder model get theirs from `estimator`.
+    /// An empty track. Frames without a cylinder model get theirs from `estimator`, which is shown every frame.
     pub fn new(sensor_from_probe: Pose, estimator: Box<dyn CylinderEstimator + Send + Sync>) -> Self {
         Self { sensor_from_probe, estimator, frames: Vec::new(), echoes_mm: Vec::new(), missing: 0 }
     }
 
     /// A track of a whole recording, with the simple local estimate for frames without a cylinder.
+    ///
+    /// The cylinders are those that [`Track::push`] finds. What follows the last frame without a model is not
+    /// shown to the estimator, so that a recording with all models costs no estimate; a track that is to grow
+    /// starts from [`Track::new`].
     ///
     /// # Errors
     /// As [`Track::push`].
@@ -80,15 +84,26 @@ impl Track {
         let sensor_from_probe = settings.calibration.sensor_from_probe();
         let estimator = crate::cylinder::LocalEstimate::new(sensor_from_probe);
         let mut track = Self::new(sensor_from_probe, Box::new(estimator));
-        recording.frames.iter().try_for_each(|frame| track.push(frame))?;
+        let last_without = recording.frames.iter().rposition(|frame| frame.cylinder.is_none());
+        let (shown, rest) = recording.frames.split_at(last_without.map_or(0, |last| last + 1));
+        shown.iter().try_for_each(|frame| track.push(frame))?;
+        rest.iter().try_for_each(|frame| track.place(frame, |_| None))?;
         Ok(track)
     }
 
-    /// Appends a frame.
+    /// Appends a frame. Its own cylinder model is taken before the estimate.
     ///
     /// # Errors
     /// [`Error::Frame`] where [`Frame::check`] refuses it; the track is then as before.
     pub fn push(&mut self, frame: &Frame) -> Result<()> {
+        self.place(frame, |estimator| estimator.push(frame))
+    }
+
+    fn place(
+        &mut self,
+        frame: &Frame,
+        estimate: impl FnOnce(&mut dyn CylinderEstimator) -> Option<CylinderModel>,
+    ) -> Result<()> {
         frame.check(self.frames.len())?;
         let first = self.echoes_mm.len();
         self.echoes_mm.extend(frame.echoes_mm());
@@ -100,10 +115,7 @@ impl Track {
         let centre = if echoes.is_empty() { DVec2::ZERO } else { (low + high) / 2.0 };
         let reach_mm = echoes.iter().fold(0.0_f64, |reach, p| reach.max(p.distance(centre)));
 
-        let estimate = match frame.cylinder {
-            Some(_) => None,
-            None => self.estimator.push(frame),
-        };
+        let estimate = estimate(&mut *self.estimator);
         let cylinder = frame.cylinder.or(estimate).map(|model| PlacedCylinder {
             world_from_cylinder: frame.world_from_sensor * model.sensor_from_cylinder(),
             radius_mm: model.radius_mm,

@@ -11,7 +11,7 @@ pub use pullback::{Centreline, Pullback};
 pub use summary::{Defects, Example, Spread, Summary};
 pub(crate) use table::Table;
 
-use crate::cylinder::{CylinderEstimator, CylinderModel, LocalEstimate};
+use crate::cylinder::{CylinderModel, MOST_RADIUS_MM};
 use crate::geometry::Pose;
 use crate::output::ending;
 use crate::{Error, Result};
@@ -118,21 +118,6 @@ impl Recording {
         }
     }
 
-    /// Gives every frame without a cylinder the one that [`LocalEstimate`] finds, and returns how many it found.
-    /// Frames that show no wall stay without. `sensor_from_probe` is the calibration `eTi`.
-    pub fn estimate_cylinders(&mut self, sensor_from_probe: Pose) -> usize {
-        let mut estimate = LocalEstimate::new(sensor_from_probe);
-        let mut found = 0;
-        for frame in &mut self.frames {
-            let model = estimate.push(frame);
-            if frame.cylinder.is_none() && model.is_some() {
-                frame.cylinder = model;
-                found += 1;
-            }
-        }
-        found
-    }
-
     /// Refuses what no reconstruction can use: no frames, or a frame with [defects](Frame::defects).
     ///
     /// # Errors
@@ -236,9 +221,6 @@ impl Frame {
         }
     }
 }
-
-/// Beyond any vessel, and far enough within f32 that squares of lengths are too.
-const MOST_RADIUS_MM: f64 = 10_000.0;
 
 /// Largest element of |RᵀR − I| that rounding in a tracker's output explains.
 const ROTATION_TOLERANCE: f64 = 1e-3;

@@ -90,6 +90,13 @@ impl Summary {
                 list.add(defect.field, defect.expected.into(), true, Some(k), defect.found);
             }
         }
+        for (k, frame) in frames.iter().enumerate() {
+            let (points, missing) = (frame.echoes_mm().count(), frame.missing_echoes());
+            if points < LEAST_POINTS {
+                let found = format!("{points} ({missing} missing echoes)");
+                list.add("wall points", format!("at least {LEAST_POINTS}"), false, Some(k), found);
+            }
+        }
         if frames.is_empty() {
             list.add("frames", "at least 1".into(), true, None, "0 frames".into());
         }
@@ -159,6 +166,10 @@ impl Summary {
         }
     }
 }
+
+/// Wall points that make an area: with fewer no cylinder can be estimated. A frame with a model may have fewer, as
+/// its cylinder draws on earlier frames too, so that this is suspicious only.
+const LEAST_POINTS: usize = 3;
 
 /// Median contour radii that a vessel may have, mm: below lies a vessel in metres, above one in micrometres.
 const LUMEN_RADII_MM: std::ops::Range<f64> = 0.2..100.0;

@@ -112,6 +112,11 @@ fn auto_falls_back_to_the_cpu_and_says_why() {
     assert!(why.contains("no such adapter"), "{why}");
     let cpu = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
     assert_eq!(tube.radii_mm, cpu.radii_mm);
+    // The next call's adapter is looked for anew.
+    let settings = Settings { adapter: Some("nor this one".into()), ..large() };
+    engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+    let why = engine.describe().why.unwrap();
+    assert!(why.contains("nor this one"), "{why}");
 }
 
 #[test]

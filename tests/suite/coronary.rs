@@ -1,6 +1,6 @@
 //! Coronary pullbacks with slit-like lumens: areas of the mesh against those measured by hand.
 
-use crate::support::shared;
+use crate::support::{lumenmesh, shared};
 use glam::DVec2;
 use lumenmesh::cylinder::{CylinderEstimator, LocalEstimate, Upright};
 use lumenmesh::evaluate::{LumenSection, read_values, sections};
@@ -13,7 +13,6 @@ use lumenmesh::surface::Outline;
 use lumenmesh::sweep::Sweep;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 const PULLBACKS: [(&str, &str); 4] = [
     ("ivus_rest", "diastolic"),
@@ -186,14 +185,6 @@ fn an_axis_through_the_centroids_leans() {
         );
         assert!(median(&differences) <= 10.0 && largest(&leans) > 5.0);
     }
-}
-
-/// Exit status, stdout and stderr.
-fn lumenmesh(arguments: &[&str], folder: &Path) -> (i32, String, String) {
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_lumenmesh")).args(arguments).current_dir(folder).output().unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
 }
 
 fn absolute(path: &Path) -> String {

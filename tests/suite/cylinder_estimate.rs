@@ -2,8 +2,11 @@
 
 use crate::support::shared;
 use glam::{DVec2, DVec3};
+use lumenmesh::cylinder::{CylinderEstimator, LocalEstimate};
+use lumenmesh::fit::Track;
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Centreline, Frame, Recording};
+use lumenmesh::settings::Settings;
 
 fn median(mut numbers: Vec<f64>) -> f64 {
     numbers.sort_by(f64::total_cmp);
@@ -43,8 +46,9 @@ fn medians_from_vessel(recording: &Recording, vessel: &Centreline) -> [f64; 2] {
 
 fn estimated(given: &Recording) -> Recording {
     let mut estimated = given.clone();
-    estimated.frames.iter_mut().for_each(|f| f.cylinder = None);
-    assert_eq!(estimated.estimate_cylinders(Pose::IDENTITY), given.frames.len());
+    let mut estimate = LocalEstimate::default();
+    estimated.frames.iter_mut().for_each(|f| f.cylinder = estimate.push(f));
+    assert!(estimated.frames.iter().all(|f| f.cylinder.is_some()));
     estimated
 }
 
@@ -94,16 +98,33 @@ fn estimates_lie_along_the_vessel_better_than_the_models_of_the_recordings() {
     }
 }
 
+/// One rule for whole recordings and growing tracks: the estimator sees all frames, and models come before estimates.
 #[test]
-fn a_model_that_is_there_stays() {
+fn a_frame_without_a_model_gets_what_all_earlier_frames_say() {
     let Some(path) = shared("recordings/adult_aorta_clean.mat") else { return };
     let given = Recording::read(&path).unwrap();
-    let mut filled = given.clone();
-    filled.frames[500].cylinder = None;
-    assert_eq!(filled.estimate_cylinders(Pose::IDENTITY), 1);
-    for k in (0..1000).filter(|&k| k != 500) {
-        assert_eq!(filled.frames[k].cylinder, given.frames[k].cylinder, "frame {k}");
+    let estimated = estimated(&given);
+    let mut gaps = given.clone();
+    for k in [500, 700] {
+        gaps.frames[k].cylinder = None;
     }
+    let whole = Track::of(&gaps, &Settings::default()).unwrap();
+    let mut grown = Track::new(Pose::IDENTITY, Box::new(LocalEstimate::default()));
+    gaps.frames.iter().for_each(|frame| grown.push(frame).unwrap());
+    for k in 0..given.frames.len() {
+        let gap = gaps.frames[k].cylinder.is_none();
+        let source = if gap { &estimated } else { &given };
+        let model = source.frames[k].cylinder.unwrap();
+        for track in [&whole, &grown] {
+            let placed = track.cylinder(k).unwrap();
+            assert_eq!((placed.estimated, placed.radius_mm), (gap, model.radius_mm), "frame {k}");
+            let pose = source.frames[k].world_from_sensor * model.sensor_from_cylinder();
+            assert_eq!(placed.world_from_cylinder, pose, "frame {k}");
+        }
+    }
+    // The earlier frames matter: the probe alone says another axis.
+    let alone = LocalEstimate::default().push(&gaps.frames[500]);
+    assert_ne!(alone, estimated.frames[500].cylinder);
 }
 
 #[test]

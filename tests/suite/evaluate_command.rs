@@ -1,13 +1,12 @@
 //! `lumenmesh evaluate` as a user runs it.
 
-use crate::support::tube;
+use crate::support::{lumenmesh, tube};
+use lumenmesh::evaluate::DEFINITIONS;
 use lumenmesh::surface::Surface;
 use std::path::Path;
-use std::process::{Command, Output};
 
-fn command(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_lumenmesh"));
-    command.current_dir(folder).arg("evaluate").args(arguments).output().unwrap()
+fn evaluate(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
+    lumenmesh(&[&["evaluate"], arguments].concat(), folder)
 }
 
 fn shapes() -> tempfile::TempDir {
@@ -18,15 +17,10 @@ fn shapes() -> tempfile::TempDir {
 }
 
 #[test]
-fn the_command_prints_every_number_with_its_definition() {
+fn the_command_prints_every_number_and_which_part_of_the_truth_counted() {
     let folder = shapes();
-    let output = command(folder.path(), &["mesh.vtp", "--truth", "truth.stl"]);
-    let text = String::from_utf8(output.stdout).unwrap();
-    assert!(
-        output.status.success() && output.stderr.is_empty(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let (status, text, errors) = evaluate(folder.path(), &["mesh.vtp", "--truth", "truth.stl"]);
+    assert_eq!((status, errors.as_str()), (0, ""));
     // Node to facet of a finely divided tube: 0.5 mm less its sag of 10·(1 - cos(π/240)) = 0.0009 mm.
     assert!(text.contains("fitting error  0.49") || text.contains("fitting error  0.5000 mm"), "{text}");
     for word in [
@@ -36,19 +30,20 @@ fn the_command_prints_every_number_with_its_definition() {
         "largest, mm",
         "signed mean, mm",
         "not on an open rim",
-        "nearest rank",
+        "--recording knows better",
     ] {
         assert!(text.contains(word), "{word} is missing:\n{text}");
     }
+    assert!(!text.contains("nearest rank"), "definitions are for --help and --json:\n{text}");
 }
 
 #[test]
 fn the_command_writes_json_and_a_coloured_mesh() {
     let folder = shapes();
-    let output =
-        command(folder.path(), &["mesh.vtp", "--truth", "truth.stl", "--json", "--out", "error.vtp"]);
-    assert!(output.status.success());
-    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let (status, text, _) =
+        evaluate(folder.path(), &["mesh.vtp", "--truth", "truth.stl", "--json", "--out", "error.vtp"]);
+    assert_eq!(status, 0);
+    let report: serde_json::Value = serde_json::from_str(&text).unwrap();
     let coloured = Surface::read(&folder.path().join("error.vtp")).unwrap();
     let errors = coloured.array("error_mm").unwrap();
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
@@ -64,9 +59,8 @@ fn the_command_says_what_is_wrong_and_exits_accordingly() {
     let folder = shapes();
     std::fs::write(folder.path().join("empty.stl"), "").unwrap();
     let failed = |arguments: &[&str], status: i32, expected: &str| {
-        let output = command(folder.path(), arguments);
-        let text = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(status), "{text}");
+        let (found, _, text) = evaluate(folder.path(), arguments);
+        assert_eq!(found, status, "{text}");
         assert!(text.contains(expected), "{text}");
     };
     failed(&["mesh.vtp", "--truth", "none.stl"], 1, "lumenmesh: none.stl: cannot read: ");
@@ -86,15 +80,22 @@ fn the_command_says_what_is_wrong_and_exits_accordingly() {
     let mut metres = tube(24, 10, 9.5e-3, 20e-3);
     metres.nodes_mm.iter_mut().for_each(|p| p.z += 0.001);
     metres.write(&folder.path().join("metres.ply")).unwrap();
-    let output = command(folder.path(), &["metres.ply", "--truth", "truth.stl"]);
-    assert!(output.status.success());
-    assert!(String::from_utf8(output.stderr).unwrap().contains("lumenmesh: warning: the mesh spans"));
+    let (status, _, errors) = evaluate(folder.path(), &["metres.ply", "--truth", "truth.stl"]);
+    assert_eq!(status, 0);
+    assert!(errors.contains("lumenmesh: warning: the mesh spans"), "{errors}");
 }
 
 #[test]
-fn the_help_shows_examples() {
-    let output = command(Path::new("."), &["--help"]);
-    assert!(
-        String::from_utf8(output.stdout).unwrap().contains("lumenmesh evaluate mesh.vtp --truth aorta.stl")
-    );
+fn the_long_help_defines_every_number_and_both_show_examples() {
+    // Where lines break is the terminal's to say.
+    let in_one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let help = |which: &str| in_one_line(&evaluate(Path::new("."), &[which]).1);
+    let (short, long) = (help("-h"), help("--help"));
+    for text in [&short, &long] {
+        assert!(text.contains("lumenmesh evaluate mesh.vtp --truth aorta.stl"), "{text}");
+    }
+    for (name, definition) in DEFINITIONS {
+        assert!(long.contains(&in_one_line(&format!("{name} {definition}"))), "{name}: {long}");
+        assert!(!short.contains(&in_one_line(definition)), "{name}: {short}");
+    }
 }

@@ -1,6 +1,6 @@
 //! The thesis's experiments, the study and the pages that show them.
 
-use crate::support::shared;
+use crate::support::{lumenmesh, shared};
 use lumenmesh::evaluate::{Coverage, Truth, evaluate, evaluate_covered};
 use lumenmesh::experiments::{Experiments, Outcome, Plan, run};
 use lumenmesh::fit::engine;
@@ -299,22 +299,12 @@ fn results_of_other_inputs_are_not_mixed_in() {
     assert!(study.read(Path::new("study.txt")).is_err());
 }
 
-fn command(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
-    let output = std::process::Command::new(env!("CARGO_BIN_EXE_lumenmesh"))
-        .args(arguments)
-        .current_dir(folder)
-        .output()
-        .unwrap();
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (output.status.code(), text(&output.stdout), text(&output.stderr))
-}
-
 #[test]
 fn the_commands_write_what_they_say() {
     let folder = tempfile::tempdir().unwrap();
-    let run = |arguments: &[&str]| command(folder.path(), arguments);
+    let run = |arguments: &[&str]| lumenmesh(arguments, folder.path());
     let (status, out, err) = run(&["experiments", "--quick", "--vessel", "small_arch", "--out", "results"]);
-    assert_eq!((status, err.as_str()), (Some(0), ""));
+    assert_eq!((status, err.as_str()), (0, ""));
     assert!(out.contains("Table 4: median fitting error (mm)") && out.contains("not public"));
     for name in ["experiments.json", "timings.json", "report.html", "noiseless.vtp", "noisy.vtp"] {
         assert!(out.contains(&format!("wrote results/{name}")), "{name}");
@@ -324,17 +314,17 @@ fn the_commands_write_what_they_say() {
     let (_, out, _) = run(&["experiments", "--quick", "--vessel", "small_arch", "--json"]);
     assert_eq!(out.trim_end(), written.trim_end());
     let (status, _, err) = run(&["experiments", "--vessel", "tube"]);
-    assert!(status == Some(1) && err.contains("found tube, expected one of aorta"), "{err}");
+    assert!(status == 1 && err.contains("found tube, expected one of aorta"), "{err}");
 
     let recording = ["simulate", "--vessel", "small_arch", "--steady", "-o", "recording"];
     let (status, ..) =
         run(&[&recording[..], &["--truth", "wall.vtp", "--truth-centreline", "middle.csv"]].concat());
-    assert_eq!(status, Some(0));
+    assert_eq!(status, 0);
     let grid =
         ["--nodes", "8,12", "--levels", "5", "--iterations", "1,2", "--repeats", "1", "-o", "study.csv"];
     let study = [&["study", "recording", "--truth", "wall.vtp", "--budget-ms", "1e6"], &grid[..]].concat();
     let (status, out, err) = run(&study);
-    assert_eq!((status, err.as_str()), (Some(0), ""));
+    assert_eq!((status, err.as_str()), (0, ""));
     assert!(out.contains("Best within 1000000 ms a cylinder"), "{out}");
     let (_, out, _) = run(&study);
     assert!(out.contains("4 of 4 combinations were there already"), "{out}");
@@ -343,18 +333,18 @@ fn the_commands_write_what_they_say() {
     assert_eq!(summary["rows"].as_array().unwrap().len(), 4);
     assert!(std::fs::read_to_string(folder.path().join("study.svg")).unwrap().contains("Pareto front"));
     let (status, _, err) = run(&["study", "recording", "--truth", "wall.vtp", "--nodes", "2"]);
-    assert!(status == Some(1) && err.contains("setting nodes: found 2"), "{err}");
+    assert!(status == 1 && err.contains("setting nodes: found 2"), "{err}");
 
     let (status, out, err) = run(&["report", "recording", "--truth", "wall.vtp", "-o", "page.html"]);
-    assert_eq!((status, err.as_str()), (Some(0), ""));
+    assert_eq!((status, err.as_str()), (0, ""));
     assert!(out.contains("page.html") && folder.path().join("page.html").exists());
     let (status, _, err) = run(&["report", "recording", "-o", "page.pdf"]);
-    assert!(status == Some(1) && err.contains("expected one of .html"), "{err}");
+    assert!(status == 1 && err.contains("expected one of .html"), "{err}");
 
     let mesh = ["evaluate", "results/noisy.vtp", "--truth", "wall.vtp"];
     let more = ["--recording", "recording", "--centreline", "middle.csv", "--region", "10"];
     let (status, out, err) = run(&[&mesh[..], &more].concat());
-    assert_eq!((status, err.as_str()), (Some(0), ""));
+    assert_eq!((status, err.as_str()), (0, ""));
     assert!(out.contains("within 2 mm") && out.contains("10 to 20 mm") && out.contains("Hausdorff"), "{out}");
     let (_, out, _) = run(&[&mesh[..], &more, &["--json"]].concat());
     let evaluation: serde_json::Value = serde_json::from_str(&out).unwrap();

@@ -1,5 +1,6 @@
 //! `lumenmesh reconstruct` as a user runs it.
 
+use crate::support::{lumenmesh, names};
 use glam::{DVec2, DVec3};
 use lumenmesh::cylinder::CylinderModel;
 use lumenmesh::geometry::Pose;
@@ -9,25 +10,9 @@ use lumenmesh::surface::Surface;
 use serde_json::Value;
 use std::f64::consts::TAU;
 use std::path::Path;
-use std::process::Command;
 
-/// Exit status, stdout and stderr.
 fn reconstruct(arguments: &[&str], folder: &Path) -> (i32, String, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_lumenmesh"))
-        .arg("reconstruct")
-        .args(arguments)
-        .current_dir(folder)
-        .output()
-        .unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
-}
-
-fn names(folder: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(folder).unwrap();
-    let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
+    lumenmesh(&[&["reconstruct"], arguments].concat(), folder)
 }
 
 /// A straight vessel of radius 5 mm, 60 frames 0.5 mm apart, with its cylinders.

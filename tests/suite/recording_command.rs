@@ -1,28 +1,12 @@
 //! `lumenmesh info` and `lumenmesh import` as a user runs them.
 
-use crate::support::shared;
+use crate::support::{lumenmesh, names, shared};
 use glam::{DMat3, DQuat, DVec2, DVec3};
+use lumenmesh::cylinder::{CylinderEstimator, LocalEstimate};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Centreline, Frame, Pullback, Recording, Summary};
 use serde_json::Value;
 use std::f64::consts::TAU;
-use std::path::Path;
-use std::process::Command;
-
-/// Exit status, stdout and stderr.
-fn lumenmesh(arguments: &[&str], folder: &Path) -> (i32, String, String) {
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_lumenmesh")).args(arguments).current_dir(folder).output().unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
-}
-
-fn names(folder: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(folder).unwrap();
-    let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
-}
 
 /// A circle of radius 5 mm seen from its middle, 0.5 mm and 0.1 s further on in each of 60 frames.
 fn some_recording() -> Recording {
@@ -46,7 +30,8 @@ fn kinds(summary: &Summary) -> Vec<(&str, Vec<usize>)> {
 fn a_summary_counts_what_is_there() {
     let mut recording = some_recording();
     recording.frames[4].contour_mm[3] = DVec2::NAN;
-    recording.estimate_cylinders(Pose::IDENTITY);
+    let mut estimate = LocalEstimate::default();
+    recording.frames.iter_mut().for_each(|f| f.cylinder = estimate.push(f));
     let summary = Summary::of(&recording);
     assert_eq!((summary.frames, summary.points, summary.missing_echoes), (60, 1199, 1));
     assert!((summary.path_length_mm - 29.5).abs() < 1e-9);
@@ -97,6 +82,21 @@ fn a_summary_names_every_frame_with_a_defect() {
         said.contains("SUSPICIOUS: position jump in 2 of 60 frames, expected steps of at most 5.00 mm"),
         "{said}"
     );
+}
+
+#[test]
+fn a_summary_names_every_frame_that_shows_no_wall() {
+    let mut recording = some_recording();
+    recording.frames[4].contour_mm.fill(DVec2::NAN);
+    recording.frames[11].contour_mm.clear();
+    recording.frames[12].contour_mm[2..].fill(DVec2::NAN);
+    recording.frames[13].contour_mm[3..].fill(DVec2::NAN);
+    let summary = Summary::of(&recording);
+    assert_eq!(kinds(&summary), [("wall points", vec![4, 11, 12])]);
+    assert!(!summary.defects[0].fatal, "a cylinder of a frame of few points draws on the frames before it");
+    let said = summary.to_string();
+    assert!(said.contains("SUSPICIOUS: wall points in 3 of 60 frames, expected at least 3"), "{said}");
+    assert!(said.contains("frame 4: 0 (20 missing echoes)") && said.contains("frame 12: 2 (18"), "{said}");
 }
 
 #[test]

@@ -490,15 +490,7 @@ fn tracker_noise_is_that_of_the_sensor_that_lay_still() {
 #[test]
 fn the_command_writes_what_it_says() {
     let folder = tempfile::tempdir().unwrap();
-    let run = |arguments: &[&str]| {
-        let output = std::process::Command::new(env!("CARGO_BIN_EXE_lumenmesh"))
-            .args(arguments)
-            .current_dir(folder.path())
-            .output()
-            .unwrap();
-        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-        (output.status.code(), text(&output.stdout), text(&output.stderr))
-    };
+    let run = |arguments: &[&str]| crate::support::lumenmesh(arguments, folder.path());
     let (status, out, err) = run(&[
         "simulate",
         "--vessel",
@@ -517,7 +509,7 @@ fn the_command_writes_what_it_says() {
         "truth.mat",
         "--json",
     ]);
-    assert_eq!((status, err.as_str()), (Some(0), ""));
+    assert_eq!((status, err.as_str()), (0, ""));
     let summary: serde_json::Value = serde_json::from_str(&out).unwrap();
     let recording = Recording::read(&folder.path().join("pullback")).unwrap();
     let missing: usize = recording.frames.iter().map(Frame::missing_echoes).sum();
@@ -531,10 +523,10 @@ fn the_command_writes_what_it_says() {
 
     std::fs::write(folder.path().join("settings.toml"), "[noise]\nsed = 5\n").unwrap();
     let (status, _, err) = run(&["simulate", "--config", "settings.toml", "-o", "other"]);
-    assert!(status == Some(1) && err.contains("settings.toml") && err.contains("sed"), "{err}");
+    assert!(status == 1 && err.contains("settings.toml") && err.contains("sed"), "{err}");
     let (status, _, err) = run(&["simulate", "--vessel", "tube", "-o", "other"]);
-    assert!(status == Some(1) && err.contains("found tube, expected one of aorta"), "{err}");
+    assert!(status == 1 && err.contains("found tube, expected one of aorta"), "{err}");
     let (status, _, err) = run(&["simulate", "--vessel", "wall.vtp", "-o", "other"]);
-    assert!(status == Some(1) && err.contains("--centreline"), "{err}");
+    assert!(status == 1 && err.contains("--centreline"), "{err}");
     assert!(!folder.path().join("other").exists());
 }

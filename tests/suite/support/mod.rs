@@ -34,6 +34,24 @@ pub fn tetrahedron() -> Surface {
     }
 }
 
+/// Runs the command in a folder: exit status, stdout and stderr.
+#[cfg(feature = "cli")]
+pub fn lumenmesh(arguments: &[&str], folder: &Path) -> (i32, String, String) {
+    let command = env!("CARGO_BIN_EXE_lumenmesh");
+    let output = Command::new(command).args(arguments).current_dir(folder).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
+}
+
+/// The names of a folder's files, sorted.
+#[cfg(feature = "cli")]
+pub fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
 /// A file of the shared data; `None`, said loudly, where that data is not there.
 pub fn shared(path: &str) -> Option<PathBuf> {
     let folder =
