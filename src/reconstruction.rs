@@ -4,7 +4,7 @@ use crate::fit::{Engine, EngineDescription, FittedCylinder, Job, Track, merged_f
 use crate::merge::Stitched;
 use crate::output::write_atomically;
 use crate::recording::Recording;
-use crate::settings::Settings;
+use crate::settings::{Method, Settings};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::path::Path;
@@ -89,6 +89,13 @@ impl Reconstruction {
         progress: &(dyn Fn(usize) + Sync),
     ) -> Result<Self> {
         settings.validate()?;
+        if settings.method != Method::Cylinders {
+            return Err(Error::Setting {
+                name: "method",
+                found: "sweep".into(),
+                expected: "cylinders here; reconstruct takes both".into(),
+            });
+        }
         let start = Instant::now();
         let track = Track::of(recording, settings)?;
         let track_seconds = start.elapsed().as_secs_f64();
