@@ -1,5 +1,5 @@
 use super::vessel::VesselArguments;
-use super::{print_json, print_text, progress};
+use super::{print_json, progress};
 use crate::experiments::{DEFINITIONS, Plan, run};
 use crate::output::write_atomically;
 use crate::report::{experiments_page, tables};
@@ -108,7 +108,7 @@ impl Arguments {
         for path in written {
             text += &format!("wrote {}\n", path.display());
         }
-        print_text(&text);
+        print!("{}", text);
         Ok(())
     }
 

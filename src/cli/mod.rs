@@ -105,8 +105,3 @@ fn say(text: std::fmt::Arguments) {
         }
     }
 }
-
-/// Prints text on stdout. A reader that has seen enough, such as `head`, closes the pipe.
-fn print_text(text: &str) {
-    let _closed = std::io::Write::write_all(&mut std::io::stdout().lock(), text.as_bytes());
-}

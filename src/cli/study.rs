@@ -1,4 +1,4 @@
-use super::{print_json, print_text, progress};
+use super::{print_json, progress};
 use crate::evaluate::Truth;
 use crate::fit::engine;
 use crate::output::write_atomically;
@@ -133,7 +133,7 @@ impl Arguments {
         for path in self.output.iter().chain(&self.plot) {
             text += &format!("wrote {}\n", path.display());
         }
-        print_text(&text);
+        print!("{}", text);
         Ok(())
     }
 }

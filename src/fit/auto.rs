@@ -30,8 +30,8 @@ impl AutoEngine {
     /// CPU work, in seconds, from which a device is worth its start.
     pub const WORTH_A_DEVICE_S: f64 = 0.5;
 
-    /// CPU time of a point and of a face in one iteration, in seconds: the medians of `benches/fit.rs` on one
-    /// core of a server processor, rounded up. They steer a choice, not a result.
+    /// CPU time of a point and of a face in one iteration, in seconds: about twice what `benches/fit.rs` gives on one
+    /// core of a server processor, since slower ones are common. They steer a choice, not a result.
     const SECONDS_PER_POINT: f64 = 25e-9;
     const SECONDS_PER_FACE: f64 = 60e-9;
 

@@ -119,6 +119,9 @@ impl GpuEngine {
 
     /// Records the whole fit of a workspace into a command encoder. Nothing is submitted.
     ///
+    /// Nothing is read back either, so that [`GpuError::Unfinished`] is not found out here: a host on a software
+    /// driver keeps its faces below a million points, or fits through [`Engine`].
+    ///
     /// # Errors
     /// [`Error::Gpu`] where the device refuses a pipeline.
     pub fn record(&self, workspace: &Workspace, encoder: &mut wgpu::CommandEncoder) -> Result<()> {

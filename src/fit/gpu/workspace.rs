@@ -16,8 +16,8 @@ pub(super) enum Points<'a> {
 
 /// The device memory of a batch of cylinders that are fitted together.
 ///
-/// [`GpuEngine::record`](super::GpuEngine::record) puts the whole fit into a command encoder: nothing is submitted, waited for or read
-/// back behind the caller's back, and it can be recorded again for new points of the same number.
+/// [`GpuEngine::record`](super::GpuEngine::record) puts the whole fit into a command encoder: nothing is submitted,
+/// waited for or read back behind the caller's back, and it can be recorded again for new points of the same number.
 pub struct Workspace {
     job: DeviceJob,
     iterations: u32,
@@ -33,7 +33,7 @@ pub struct Workspace {
 /// Receives how long passes take, if somebody wants to know.
 pub(super) type Timer<'a> = dyn FnMut(&'static str) -> Option<wgpu::ComputePassTimestampWrites<'a>> + 'a;
 
-/// The name, size in bytes and extra usage of every buffer of a job.
+/// The name and the size in bytes of every buffer of a job.
 pub(super) fn sizes(
     job: &DeviceJob,
     points: usize,
