@@ -7,6 +7,7 @@
 mod axis;
 mod banded;
 mod centreline;
+mod echo;
 mod grid;
 mod support;
 mod wall;
@@ -14,19 +15,20 @@ mod wall;
 pub use axis::Axis;
 pub use support::Support;
 
+use crate::geometry::Pose;
 use crate::recording::{Frame, Recording};
 use crate::settings::Settings;
 use crate::surface::Surface;
 use crate::tube::face_triangles;
 use crate::{Error, Result};
 
-use glam::DVec2;
+use echo::Echo;
+use glam::{DVec2, DVec3};
 use grid::Grid;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 use std::time::Instant;
-use wall::Echo;
 
 /// A vessel swept along its centreline.
 ///
@@ -118,15 +120,7 @@ impl Sweep {
         let sensor_from_probe = settings.calibration.sensor_from_probe();
         let frames = &recording.frames;
         let poses: Vec<_> = frames.iter().map(|f| f.world_from_sensor * sensor_from_probe).collect();
-        let mut centres_mm = Vec::new();
-        let mut contour_radii = Vec::new();
-        for (frame, pose) in frames.iter().zip(&poses) {
-            if let Some((centre, radius)) = frame.centroid_mm().zip(contour_radius_mm(frame)) {
-                centres_mm.push(pose.transform_point(centre.extend(0.0)));
-                contour_radii.push(radius);
-            }
-        }
-        let radius_mm = median(&mut contour_radii);
+        let (centres_mm, radius_mm) = contour_centres(frames, &poses);
         let curve = (radius_mm > 0.0).then(|| centreline::centreline(&centres_mm, radius_mm)).flatten();
         let Some(curve) = curve else {
             return Err(Error::Frame {
@@ -136,49 +130,13 @@ impl Sweep {
                 expected: "contours along at least a lumen's radius of the vessel".into(),
             });
         };
-        let echo_count: usize = frames.iter().map(|f| f.echoes_mm().count()).sum();
         let length_mm = centreline::lengths(&curve).last().copied().unwrap_or(0.0);
-        // More than two rings for each frame would have nothing to rest on.
-        let least_step_mm = length_mm / centres_mm.len() as f64 / 2.0;
-        let nodes = match settings.sweep.nodes {
-            Some(nodes) => nodes as usize,
-            None => {
-                let affordable = echo_count as f64 / ECHOES_PER_NODE;
-                let even = (affordable * TAU * radius_mm / length_mm).sqrt();
-                let sparse = affordable * least_step_mm / length_mm;
-                let rays = median(&mut frames.iter().map(|f| f.contour_mm.len() as f64).collect::<Vec<_>>());
-                (rays.min(even.max(sparse)) as usize & !1)
-                    .clamp(*NODES_PER_RING.start(), *NODES_PER_RING.end())
-            }
-        };
-        let step_mm = (TAU * radius_mm / nodes as f64).max(least_step_mm);
-        if length_mm / step_mm * nodes as f64 > MOST_NODES {
-            return Err(Error::Setting {
-                name: "sweep.nodes",
-                found: format!("{nodes} a ring of {radius_mm:.3} mm radius along {length_mm:.0} mm"),
-                expected: format!("at most {MOST_NODES} in all"),
-            });
-        }
+        let (nodes, step_mm) = resolution(frames, length_mm, radius_mm, settings)?;
         let axis = Axis::along(&curve, step_mm, BEYOND_RADII * radius_mm);
         let axis_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
-        let mut echoes: Vec<Echo> = frames
-            .par_iter()
-            .zip(&poses)
-            .enumerate()
-            .flat_map_iter(|(k, (frame, pose))| {
-                let to_world = |p: DVec2| pose.transform_point(p.extend(0.0));
-                let centre = frame.centroid_mm().or_else(|| frame.echoes_mm().next());
-                let near = centre.map_or(0, |centre| axis.nearest_ring(to_world(centre)));
-                let axis = &axis;
-                frame.echoes_mm().filter_map(move |echo| {
-                    let place = axis.place(to_world(echo), near)?;
-                    Some(Echo::new(&place, pose.rotation.z_axis, k as u32, nodes))
-                })
-            })
-            .collect();
-        echoes.par_sort_by(|a, b| a.ring().total_cmp(&b.ring()));
+        let mut echoes = placed(frames, &poses, &axis, nodes);
         let place_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
@@ -200,12 +158,13 @@ impl Sweep {
             (Some(first), Some(last)) => (last - first) as f64 * axis.step_mm,
             _ => 0.0,
         };
+        let recorded = echo_count(frames);
         let report = Report {
             threads: rayon::current_num_threads(),
             frames: frames.len(),
-            echoes: echo_count,
+            echoes: recorded,
             missing: frames.iter().map(Frame::missing_echoes).sum(),
-            beyond_ends: echo_count - echoes.len(),
+            beyond_ends: recorded - echoes.len(),
             off_wall: echoes.iter().filter(|e| !e.is_inlier(wall.noise_mm)).count(),
             length_mm,
             contour_radius_mm: radius_mm,
@@ -261,6 +220,72 @@ impl Sweep {
         array("supported", &|n| f64::from(u8::from(supported[n])));
         surface
     }
+}
+
+/// Wall points of all frames.
+fn echo_count(frames: &[Frame]) -> usize {
+    frames.iter().map(|f| f.echoes_mm().count()).sum()
+}
+
+/// The centres of the contours in the world, mm, and the contours' median radius, mm; frames without a contour have
+/// none.
+fn contour_centres(frames: &[Frame], poses: &[Pose]) -> (Vec<DVec3>, f64) {
+    let (centres_mm, mut radii_mm): (Vec<_>, Vec<_>) = frames
+        .iter()
+        .zip(poses)
+        .filter_map(|(frame, pose)| {
+            let (centre, radius) = frame.centroid_mm().zip(contour_radius_mm(frame))?;
+            Some((pose.transform_point(centre.extend(0.0)), radius))
+        })
+        .unzip();
+    let radius_mm = median(&mut radii_mm);
+    (centres_mm, radius_mm)
+}
+
+/// Nodes a ring, and the distance of two rings in mm, that the echoes along a vessel can bear.
+fn resolution(frames: &[Frame], length_mm: f64, radius_mm: f64, settings: &Settings) -> Result<(usize, f64)> {
+    let seen = frames.iter().filter(|f| f.echoes_mm().next().is_some()).count();
+    // More than two rings for each frame would have nothing to rest on.
+    let least_step_mm = length_mm / seen as f64 / 2.0;
+    let nodes = match settings.sweep.nodes {
+        Some(nodes) => nodes as usize,
+        None => {
+            let affordable = echo_count(frames) as f64 / ECHOES_PER_NODE;
+            let even = (affordable * TAU * radius_mm / length_mm).sqrt();
+            let sparse = affordable * least_step_mm / length_mm;
+            let rays = median(&mut frames.iter().map(|f| f.contour_mm.len() as f64).collect::<Vec<_>>());
+            (rays.min(even.max(sparse)) as usize & !1).clamp(*NODES_PER_RING.start(), *NODES_PER_RING.end())
+        }
+    };
+    let step_mm = (TAU * radius_mm / nodes as f64).max(least_step_mm);
+    if length_mm / step_mm * nodes as f64 > MOST_NODES {
+        return Err(Error::Setting {
+            name: "sweep.nodes",
+            found: format!("{nodes} a ring of {radius_mm:.3} mm radius along {length_mm:.0} mm"),
+            expected: format!("at most {MOST_NODES} in all"),
+        });
+    }
+    Ok((nodes, step_mm))
+}
+
+/// The echoes about the axis, in its order; those beyond its ends are left out.
+fn placed(frames: &[Frame], poses: &[Pose], axis: &Axis, nodes: usize) -> Vec<Echo> {
+    let mut echoes: Vec<Echo> = frames
+        .par_iter()
+        .zip(poses)
+        .enumerate()
+        .flat_map_iter(|(k, (frame, pose))| {
+            let to_world = |p: DVec2| pose.transform_point(p.extend(0.0));
+            let centre = frame.centroid_mm().or_else(|| frame.echoes_mm().next());
+            let near = centre.map_or(0, |centre| axis.nearest_ring(to_world(centre)));
+            frame.echoes_mm().filter_map(move |echo| {
+                let place = axis.place(to_world(echo), near)?;
+                Some(Echo::new(&place, pose.rotation.z_axis, k as u32, nodes))
+            })
+        })
+        .collect();
+    echoes.par_sort_by(|a, b| a.ring().total_cmp(&b.ring()));
+    echoes
 }
 
 /// Radius of the circle with the area inside the contour, mm.
