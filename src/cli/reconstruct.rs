@@ -102,6 +102,14 @@ impl Arguments {
 fn print_sweep(report: &sweep::Report) {
     let sweep::Report { seconds, .. } = report;
     println!("method     sweep on {} threads", report.threads);
+    print!("frames     {}", report.frames);
+    match report.folded_frames[..] {
+        [] => println!(),
+        [first, ..] => println!(
+            ", {} left out: their contours turn back about their centres (the first is frame {first})",
+            report.folded_frames.len()
+        ),
+    }
     println!(
         "axis       {:.1} mm long, contours of {:.2} mm radius",
         report.length_mm, report.contour_radius_mm

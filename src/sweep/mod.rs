@@ -9,6 +9,7 @@ mod banded;
 mod centreline;
 mod echo;
 mod grid;
+mod star;
 mod support;
 mod wall;
 
@@ -54,6 +55,8 @@ pub struct Report {
     pub threads: usize,
     /// Frames of the recording.
     pub frames: usize,
+    /// Frames that were left out, since their contours are not star-shaped about their centres.
+    pub folded_frames: Vec<usize>,
     /// Wall points in the recording.
     pub echoes: usize,
     /// Rays without an echo.
@@ -118,7 +121,15 @@ impl Sweep {
         recording.check()?;
         let start = Instant::now();
         let sensor_from_probe = settings.calibration.sensor_from_probe();
-        let frames = &recording.frames;
+        let folded = folded_frames(&recording.frames)?;
+        let without_folded: Vec<Frame>;
+        let frames = match folded.is_empty() {
+            true => &recording.frames,
+            false => {
+                without_folded = without(&recording.frames, &folded);
+                &without_folded
+            }
+        };
         let poses: Vec<_> = frames.iter().map(|f| f.world_from_sensor * sensor_from_probe).collect();
         let (centres_mm, radius_mm) = contour_centres(frames, &poses);
         let curve = (radius_mm > 0.0).then(|| centreline::centreline(&centres_mm, radius_mm)).flatten();
@@ -158,13 +169,13 @@ impl Sweep {
             (Some(first), Some(last)) => (last - first) as f64 * axis.step_mm,
             _ => 0.0,
         };
-        let recorded = echo_count(frames);
         let report = Report {
             threads: rayon::current_num_threads(),
             frames: frames.len(),
-            echoes: recorded,
-            missing: frames.iter().map(Frame::missing_echoes).sum(),
-            beyond_ends: recorded - echoes.len(),
+            folded_frames: folded,
+            echoes: echo_count(&recording.frames),
+            missing: recording.frames.iter().map(Frame::missing_echoes).sum(),
+            beyond_ends: echo_count(frames) - echoes.len(),
             off_wall: echoes.iter().filter(|e| !e.is_inlier(wall.noise_mm)).count(),
             length_mm,
             contour_radius_mm: radius_mm,
@@ -220,6 +231,36 @@ impl Sweep {
         array("supported", &|n| f64::from(u8::from(supported[n])));
         surface
     }
+}
+
+/// The frames whose contours no radius about their centre can hold.
+fn folded_frames(frames: &[Frame]) -> Result<Vec<usize>> {
+    let share =
+        |frame: &Frame| frame.centroid_mm().map(|centroid| star::folded_share(&frame.contour_mm, centroid));
+    let shares: Vec<Option<f64>> = frames.par_iter().map(share).collect();
+    let folded: Vec<usize> =
+        (0..frames.len()).filter(|&k| shares[k].is_some_and(|s| s > star::MOST_FOLDED)).collect();
+    let seen = shares.iter().flatten().count();
+    match folded.first() {
+        Some(&frame) if 2 * folded.len() > seen => Err(Error::Frame {
+            frame,
+            field: "contour",
+            found: format!(
+                "one that turns back about its centre ({:.0} % of the area that it goes round), as do {} of {seen}",
+                100.0 * shares[frame].unwrap_or_default(),
+                folded.len()
+            ),
+            expected: "star-shaped lumens: every ray from the centre meets the wall once".into(),
+        }),
+        _ => Ok(folded),
+    }
+}
+
+/// Frames of which some have lost their contours.
+fn without(frames: &[Frame], blind: &[usize]) -> Vec<Frame> {
+    let mut frames = frames.to_vec();
+    blind.iter().for_each(|&k| frames[k].contour_mm.clear());
+    frames
 }
 
 /// Wall points of all frames.

@@ -203,7 +203,7 @@ fn the_commands_of_the_guide_work() {
         said
     };
     run(&["import", "pullback", &contours, "-o", "pullback.mat", "--upright"]);
-    run(&["reconstruct", "pullback.mat", "-o", "vessel.vtp", "--config", &config]);
+    run(&["reconstruct", "pullback.mat", "-o", "vessel.vtp", "--method", "cylinders", "--config", &config]);
     let measure = ["sections", "vessel.vtp", "pullback.mat"];
     let against = ["--against", &by_hand, "--numbers", &contours];
     let said = run(&[&measure[..], &against, &["--csv", "sections.csv"]].concat());
@@ -251,11 +251,30 @@ fn the_commands_of_the_guide_work() {
 fn areas_of_a_swept_vessel_agree_too() {
     for case in cases() {
         let recording = &case.pullback.recording;
-        let mesh = Sweep::of(recording, &Settings::default()).unwrap().surface(true);
-        let sections = sections(&mesh, recording, Pose::IDENTITY).unwrap();
-        let differences = case.differences(sections.iter().map(|s| s.area_mm2));
-        let (median, largest) = (median(&differences), largest(&differences));
-        println!("{}: swept, {median:.2} % (median), {largest:.1} % (largest)", case.name);
-        assert!(median < 1.0 && largest < 5.0, "{}: {median} % {largest} %", case.name);
+        let swept = |settings: &Settings, keep_unsupported: bool| {
+            let mesh = Sweep::of(recording, settings).unwrap().surface(keep_unsupported);
+            let sections = sections(&mesh, recording, Pose::IDENTITY).unwrap();
+            let differences = case.differences(sections.iter().map(|s| s.area_mm2));
+            // An outline that is cut open counts as off without bound.
+            let open = differences.iter().filter(|d| d.is_nan()).count();
+            let bounded = differences.iter().map(|d| if d.is_nan() { f64::MAX } else { *d });
+            (bounded.collect::<Vec<_>>(), open)
+        };
+        let (whole, open) = swept(&settings(), true);
+        assert_eq!(open, 0);
+        let (cut, open) = swept(&settings(), false);
+        println!(
+            "{}: swept, {:.2} % (median), {:.1} % (largest); {:.2} % where what is not supported is cut, {open} open",
+            case.name,
+            median(&whole),
+            largest(&whole),
+            median(&cut),
+        );
+        assert!(median(&whole) < 1.0 && largest(&whole) < 5.0);
+        assert!(median(&cut) < 1.0 && open <= cut.len() / 5);
+        // Without any settings the ends of some slits are cut off as too uncertain, but the areas hold.
+        let (plain, _) = swept(&Settings::default(), true);
+        println!("  without settings {:.2} % (median), {:.1} % (largest)", median(&plain), largest(&plain));
+        assert!(median(&plain) < 1.0 && largest(&plain) < 5.0);
     }
 }

@@ -244,6 +244,36 @@ fn what_covers_no_vessel_is_refused() {
     }
 }
 
+/// The recording with the contours of `frames` drawn as horseshoes: 5 rad about a middle that is no lumen.
+fn with_horseshoes(mut recording: Recording, frames: std::ops::Range<usize>) -> Recording {
+    let arc = |radius: f64, j: i32| DVec2::from_angle(f64::from(j) / 32.0 * 5.0) * radius;
+    for frame in &mut recording.frames[frames] {
+        frame.contour_mm = (0..32).map(|j| arc(11.0, j)).chain((0..32).rev().map(|j| arc(8.0, j))).collect();
+    }
+    recording
+}
+
+#[test]
+fn a_lumen_that_no_radius_can_hold_is_refused_with_a_reason() {
+    let full = round_wall(|_| 10.0, 50.0, 0.0);
+    let message =
+        Sweep::of(&with_horseshoes(full.clone(), 0..200), &Settings::default()).unwrap_err().to_string();
+    assert!(message.starts_with("frame 0: contour: found one that turns back about its centre"), "{message}");
+    assert!(
+        message.ends_with("star-shaped lumens: every ray from the centre meets the wall once"),
+        "{message}"
+    );
+
+    // A few are left out, and what lies there is not passed as measured: no node within 5 mm of their middle.
+    let sweep = swept(&with_horseshoes(full.clone(), 80..120));
+    assert_eq!(sweep.report.folded_frames, (80..120).collect::<Vec<_>>());
+    let within = |s: &Surface| s.nodes_mm.iter().filter(|p| (p.z - 25.0).abs() < 2.0).count();
+    assert_eq!(within(&sweep.surface(false)), 0);
+    assert!(within(&surface(&full)) > 0);
+    let off = |p: &DVec3| (p.x.hypot(p.y) - 10.0).abs();
+    assert!(sweep.surface(false).nodes_mm.iter().map(off).fold(0.0, f64::max) < 0.01);
+}
+
 #[test]
 fn small_and_odd_recordings_give_finite_surfaces_or_errors() {
     let full = round_wall(|z| 10.0 + 0.1 * z, 50.0, 0.4);
