@@ -1,16 +1,75 @@
 //! The whole way from a recording to a vessel.
 
-use crate::fit::{Engine, EngineDescription, FittedCylinder, Job, Track, merged_frames};
+use crate::fit::{Engine, EngineDescription, FittedCylinder, Job, Track, engine, merged_frames};
 use crate::merge::Stitched;
 use crate::output::write_atomically;
 use crate::recording::Recording;
 use crate::settings::{Method, Settings};
+use crate::surface::Surface;
+use crate::sweep::{self, Sweep};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::path::Path;
 use std::time::Instant;
 
-/// What came out of a recording.
+/// The lumen of a recording, by the method that the settings name.
+#[derive(Debug, Clone)]
+pub enum Lumen {
+    /// Local cylinders, merged.
+    Cylinders(Reconstruction),
+    /// One tube along the centreline.
+    Sweep(Sweep),
+}
+
+/// What was done, in numbers, by either method.
+#[derive(Debug, Clone, Copy, Serialize)]
+#[serde(untagged)]
+pub enum LumenReport<'a> {
+    /// By local cylinders.
+    Cylinders(&'a Report),
+    /// By one tube.
+    Sweep(&'a sweep::Report),
+}
+
+impl Lumen {
+    /// Reconstructs the lumen of a recording, where and how the settings say. With `history`, cylinders keep their radii
+    /// of every iteration; `progress` is told the number of cylinders that have become ready since its last call.
+    ///
+    /// # Errors
+    /// As [`Reconstruction::new`] and [`Sweep::of`], and where there is no such device.
+    pub fn of(
+        recording: &Recording,
+        settings: &Settings,
+        history: bool,
+        progress: &(dyn Fn(usize) + Sync),
+    ) -> Result<Self> {
+        match settings.method {
+            Method::Cylinders => {
+                let engine = engine(settings)?;
+                Reconstruction::new(recording, settings, &*engine, history, progress).map(Self::Cylinders)
+            }
+            Method::Sweep => Sweep::of(recording, settings).map(Self::Sweep),
+        }
+    }
+
+    /// The lumen as a triangle surface; of a sweep without what no echo supports, unless the settings keep that.
+    pub fn surface(&self, settings: &Settings) -> Surface {
+        match self {
+            Self::Cylinders(reconstruction) => reconstruction.vessel.surface(),
+            Self::Sweep(sweep) => sweep.surface(settings.sweep.keep_unsupported),
+        }
+    }
+
+    /// What was done, in numbers.
+    pub fn report(&self) -> LumenReport<'_> {
+        match self {
+            Self::Cylinders(reconstruction) => LumenReport::Cylinders(&reconstruction.report),
+            Self::Sweep(sweep) => LumenReport::Sweep(&sweep.report),
+        }
+    }
+}
+
+/// What came out of a recording by local cylinders.
 #[derive(Debug, Clone)]
 pub struct Reconstruction {
     /// The deformed cylinders of the merged frames.
@@ -77,7 +136,7 @@ pub struct StageSeconds {
 impl Reconstruction {
     /// Reconstructs the vessel of a recording by the published method: a cylinder every `every` frames, fitted
     /// by `engine` and stitched. With `history`, cylinders keep their radii of every iteration. `progress` is
-    /// told the number of cylinders that have become ready since its last call.
+    /// told the number of cylinders that have become ready since its last call. [`Settings::method`] is not looked at.
     ///
     /// # Errors
     /// Where settings are invalid, the recording has fewer than `every` frames, or a frame cannot be used.
@@ -89,13 +148,6 @@ impl Reconstruction {
         progress: &(dyn Fn(usize) + Sync),
     ) -> Result<Self> {
         settings.validate()?;
-        if settings.method != Method::Cylinders {
-            return Err(Error::Setting {
-                name: "method",
-                found: "sweep".into(),
-                expected: "cylinders here; reconstruct takes both".into(),
-            });
-        }
         let start = Instant::now();
         let track = Track::of(recording, settings)?;
         let track_seconds = start.elapsed().as_secs_f64();

@@ -12,11 +12,11 @@ use std::path::Path;
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[non_exhaustive]
 pub enum Method {
-    /// The published method: local cylinders, stitched.
-    #[default]
-    Cylinders,
     /// One smooth tube swept along the estimated centreline, fitted to all echoes at once.
+    #[default]
     Sweep,
+    /// The published method: local cylinders, stitched.
+    Cylinders,
 }
 
 /// Where the fit is computed, and in which precision.
@@ -109,7 +109,7 @@ impl Default for Sweep {
     }
 }
 
-/// The settings of a reconstruction. Defaults are the published ones (thesis, chapter 3).
+/// The settings of a reconstruction. Those of the method `cylinders` are the published ones by default (thesis, chapter 3).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
@@ -146,7 +146,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            method: Method::Cylinders,
+            method: Method::Sweep,
             backend: Backend::Auto,
             adapter: None,
             nodes: 12,
@@ -197,14 +197,6 @@ impl Settings {
     /// # Errors
     /// [`Error::Setting`] with the first one that fails.
     pub fn validate(&self) -> Result<()> {
-        #[cfg(feature = "gpu")]
-        if self.method == Method::Sweep && self.backend == Backend::Gpu {
-            return Err(Error::Setting {
-                name: "backend",
-                found: "gpu".into(),
-                expected: "auto or cpu: the sweep runs on the CPU".into(),
-            });
-        }
         // A triangle's index and a node's index are u32 on the device. The other bounds are far beyond any
         // vessel and keep every product of lengths within f32.
         const MOST_FACES: u64 = 1 << 28;

@@ -6,7 +6,7 @@ use crate::fit::Engine;
 use crate::output::{ending, write_atomically};
 use crate::reconstruction::Reconstruction;
 use crate::recording::Recording;
-use crate::settings::Settings;
+use crate::settings::{Method, Settings};
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -256,7 +256,7 @@ fn checksum(recording: &Recording, truth: &Truth, settings: &Settings) -> Result
     truth.surface().nodes_mm.iter().for_each(|p| add(&p.to_array()));
     truth.surface().triangles.iter().for_each(|t| add(&t.map(f64::from)));
     let Settings { nodes, levels, iterations, .. } = Settings::default();
-    let shared = Settings { nodes, levels, iterations, ..settings.clone() };
+    let shared = Settings { method: Method::Cylinders, nodes, levels, iterations, ..settings.clone() };
     hasher.update(shared.to_toml()?.as_bytes());
     Ok(format!("{:08x}", hasher.finalize()))
 }

@@ -1,10 +1,9 @@
-use super::reconstruct::print_report;
+use super::reconstruct::{lumen, print_report};
 use super::settings::SettingsArguments;
 use super::{print_json, progress};
 use crate::evaluate::{Coverage, Evaluation, Truth, evaluate_covered};
-use crate::fit::{engine, merged_frames};
 use crate::output::write_atomically;
-use crate::reconstruction::{Reconstruction, Report};
+use crate::reconstruction::LumenReport;
 use crate::report::render::{Style, render};
 use crate::report::{Subject, html};
 use crate::settings::Settings;
@@ -21,7 +20,7 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh demo
-  lumenmesh demo --out /tmp/demo --seed 7 --nodes 24 --levels 8
+  lumenmesh demo --out /tmp/demo --seed 7 --method cylinders --nodes 24
   lumenmesh demo --json | jq .evaluation.mesh_to_truth.mean_mm")]
 pub(super) struct Arguments {
     /// Folder to write to
@@ -43,7 +42,7 @@ struct Summary<'a> {
     files: &'a [PathBuf],
     simulation: &'a simulate::Settings,
     settings: &'a Settings,
-    reconstruction: &'a Report,
+    reconstruction: LumenReport<'a>,
     evaluation: &'a Evaluation,
 }
 
@@ -65,14 +64,9 @@ impl Arguments {
         bar.finish_and_clear();
         let recording = &simulation.recording;
 
-        let engine = engine(&settings)?;
-        let bar = progress::bar("fitting cylinders", merged_frames(recording.frames.len(), &settings).len());
-        let reconstruction =
-            Reconstruction::new(recording, &settings, &*engine, true, &|n| bar.inc(n as u64))?;
-        bar.finish_and_clear();
-
+        let lumen = lumen(recording, &settings, true)?;
         let truth = Truth::new(simulation.vessel.surface().clone())?;
-        let mut mesh = reconstruction.vessel.surface();
+        let mut mesh = lumen.surface(&settings);
         let sensor_from_probe = settings.calibration.sensor_from_probe();
         let coverage = Coverage::of(recording, sensor_from_probe, truth.surface(), Coverage::WITHIN_MM)?;
         let evaluation = evaluate_covered(&mesh, &truth, &coverage)?;
@@ -88,7 +82,7 @@ impl Arguments {
             title: "lumenmesh demo: a simulated adult aorta",
             recording,
             settings: &settings,
-            reconstruction: &reconstruction,
+            lumen: &lumen,
             measured: Some((&truth, &evaluation)),
             command: &format!("lumenmesh demo --seed {}", self.seed),
         })?;
@@ -101,7 +95,7 @@ impl Arguments {
             files: &files,
             simulation: &simulation_settings,
             settings: &settings,
-            reconstruction: &reconstruction.report,
+            reconstruction: lumen.report(),
             evaluation: &evaluation,
         };
         write_atomically(&self.out.join("summary.json"), |out| {
@@ -120,7 +114,7 @@ impl Arguments {
             simulation_settings.noise.rotation_sd_deg,
             simulation_settings.noise.contour_sd_mm
         );
-        print_report(&reconstruction.report);
+        print_report(lumen.report());
         println!(
             "error      {:.3} mm mean distance from the mesh's nodes to the true wall (median {:.3}, 95 % below {:.3}, worst {:.3})",
             evaluation.mesh_to_truth.mean_mm,

@@ -1,11 +1,11 @@
 use super::settings::SettingsArguments;
 use super::{print_json, progress};
-use crate::fit::{engine, merged_frames};
-use crate::reconstruction::{Reconstruction, Report, write_cylinders};
+use crate::fit::merged_frames;
+use crate::reconstruction::{Lumen, LumenReport, Report, write_cylinders};
 use crate::recording::Recording;
 use crate::settings::{Method, Settings};
 use crate::surface;
-use crate::sweep::{self, Sweep};
+use crate::sweep;
 use crate::{Error, Result};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -14,10 +14,10 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh reconstruct pullback.mat -o vessel.vtp
-  lumenmesh reconstruct recording/ -o vessel.ply --nodes 24 --levels 8 --statistic median
+  lumenmesh reconstruct pullback.mat -o vessel.vtp --sweep-nodes 128 --keep-unsupported
   lumenmesh reconstruct pullback.mat -o vessel.stl --config settings.toml --json > report.json
-  lumenmesh reconstruct pullback.mat -o vessel.vtp --method sweep
-  lumenmesh reconstruct pullback.mat -o vessel.vtp --backend reference --cylinders cylinders.csv")]
+  lumenmesh reconstruct recording/ -o vessel.ply --method cylinders --nodes 24 --levels 8
+  lumenmesh reconstruct pullback.mat -o vessel.vtp --method cylinders --cylinders cylinders.csv")]
 pub(super) struct Arguments {
     /// Recording: a MATLAB .mat file (v5, v7) or a folder of CSV files
     #[arg(value_name = "REC")]
@@ -37,64 +37,63 @@ pub(super) struct Arguments {
 
 /// What `--json` prints.
 #[derive(Serialize)]
-struct Output<'a, R> {
+struct Output<'a> {
     recording: &'a PathBuf,
     mesh: &'a PathBuf,
     settings: &'a Settings,
     #[serde(flatten)]
-    report: &'a R,
+    report: LumenReport<'a>,
 }
 
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         let settings = self.settings.settings()?;
-        surface::check_ending(&self.output)?;
-        let recording = Recording::read(&self.recording)?;
-        match settings.method {
-            Method::Cylinders => self.cylinders(&recording, &settings),
-            Method::Sweep => self.sweep(&recording, &settings),
-        }
-    }
-
-    fn cylinders(&self, recording: &Recording, settings: &Settings) -> Result<()> {
-        let engine = engine(settings)?;
-        let bar = progress::bar("fitting cylinders", merged_frames(recording.frames.len(), settings).len());
-        let done = Reconstruction::new(recording, settings, &*engine, self.cylinders.is_some(), &|n| {
-            bar.inc(n as u64);
-        });
-        bar.finish_and_clear();
-        let reconstruction = done.map_err(|e| e.in_file(&self.recording))?;
-        if let Some(path) = &self.cylinders {
-            write_cylinders(&reconstruction.cylinders, path)?;
-        }
-        reconstruction.vessel.surface().write(&self.output)?;
-        self.print(settings, &reconstruction.report, print_report)?;
-        if let Some(path) = self.cylinders.as_ref().filter(|_| !self.json) {
-            println!("cylinders  {}", path.display());
-        }
-        Ok(())
-    }
-
-    fn sweep(&self, recording: &Recording, settings: &Settings) -> Result<()> {
-        if self.cylinders.is_some() {
+        if self.cylinders.is_some() && settings.method != Method::Cylinders {
             return Err(Error::Setting {
                 name: "method",
                 found: "sweep".into(),
                 expected: "cylinders, where --cylinders asks for them".into(),
             });
         }
-        let sweep = Sweep::of(recording, settings).map_err(|e| e.in_file(&self.recording))?;
-        sweep.surface(settings.sweep.keep_unsupported).write(&self.output)?;
-        self.print(settings, &sweep.report, print_sweep)
-    }
-
-    fn print<R: Serialize>(&self, settings: &Settings, report: &R, for_people: fn(&R)) -> Result<()> {
-        if self.json {
-            return print_json(&Output { recording: &self.recording, mesh: &self.output, settings, report });
+        surface::check_ending(&self.output)?;
+        let recording = Recording::read(&self.recording)?;
+        let lumen =
+            lumen(&recording, &settings, self.cylinders.is_some()).map_err(|e| e.in_file(&self.recording))?;
+        if let (Some(path), Lumen::Cylinders(reconstruction)) = (&self.cylinders, &lumen) {
+            write_cylinders(&reconstruction.cylinders, path)?;
         }
-        for_people(report);
+        lumen.surface(&settings).write(&self.output)?;
+        let report = lumen.report();
+        if self.json {
+            let (recording, mesh) = (&self.recording, &self.output);
+            return print_json(&Output { recording, mesh, settings: &settings, report });
+        }
+        print_report(report);
         println!("mesh       {}", self.output.display());
+        if let Some(path) = &self.cylinders {
+            println!("cylinders  {}", path.display());
+        }
         Ok(())
+    }
+}
+
+/// Reconstructs, with a progress bar where it can take long.
+pub(super) fn lumen(recording: &Recording, settings: &Settings, history: bool) -> Result<Lumen> {
+    let cylinders = match settings.method {
+        Method::Cylinders => merged_frames(recording.frames.len(), settings).len(),
+        _ => 0,
+    };
+    let bar = progress::bar("fitting cylinders", cylinders);
+    let lumen = Lumen::of(recording, settings, history, &|n| bar.inc(n as u64));
+    bar.finish_and_clear();
+    lumen
+}
+
+/// The report for people.
+pub(super) fn print_report(report: LumenReport) {
+    match report {
+        LumenReport::Cylinders(report) => print_cylinders(report),
+        LumenReport::Sweep(report) => print_sweep(report),
     }
 }
 
@@ -135,8 +134,8 @@ fn print_sweep(report: &sweep::Report) {
     );
 }
 
-/// The report for people.
-pub(super) fn print_report(report: &Report) {
+/// The report of cylinders for people.
+fn print_cylinders(report: &Report) {
     let Report { points, seconds, .. } = report;
     match &report.engine.adapter {
         Some(adapter) => println!("engine     {} on {adapter}", report.engine.name),

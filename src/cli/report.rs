@@ -1,9 +1,8 @@
+use super::print_json;
+use super::reconstruct::{lumen, print_report};
 use super::settings::SettingsArguments;
-use super::{print_json, progress};
 use crate::evaluate::{Coverage, Truth, evaluate_covered};
-use crate::fit::{engine, merged_frames};
 use crate::output::{ending, write_atomically};
-use crate::reconstruction::Reconstruction;
 use crate::recording::Recording;
 use crate::report::{Subject, html};
 use crate::surface::Surface;
@@ -12,12 +11,12 @@ use std::path::PathBuf;
 
 /// Reconstruct a recording and show how well it went, as one HTML page
 ///
-/// The page needs neither network nor scripts: summary, convergence, error distribution, the vessel in colours from
-/// three sides, coverage, noise, settings.
+/// The page needs neither network nor scripts: summary, error distribution, the vessel in colours from three sides,
+/// coverage, noise, settings.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh report pullback.mat -o report.html
-  lumenmesh report recording/ --truth wall.vtp -o report.html --nodes 24 --levels 8")]
+  lumenmesh report recording/ --truth wall.vtp -o report.html --method cylinders --nodes 24")]
 pub(super) struct Arguments {
     /// Recording: a MATLAB .mat file (v5, v7) or a folder of CSV files
     #[arg(value_name = "REC")]
@@ -44,20 +43,14 @@ impl Arguments {
         }
         let recording = Recording::read(&self.recording)?;
         let truth = self.truth.as_deref().map(|path| Truth::new(Surface::read(path)?)).transpose()?;
-        let engine = engine(&settings)?;
-        let bar = progress::bar("fitting cylinders", merged_frames(recording.frames.len(), &settings).len());
-        let done = Reconstruction::new(&recording, &settings, &*engine, truth.is_some(), &|n| {
-            bar.inc(n as u64);
-        });
-        bar.finish_and_clear();
-        let reconstruction = done.map_err(|e| e.in_file(&self.recording))?;
+        let lumen = lumen(&recording, &settings, truth.is_some()).map_err(|e| e.in_file(&self.recording))?;
         let evaluation = truth
             .as_ref()
             .map(|truth| {
                 let sensor_from_probe = settings.calibration.sensor_from_probe();
                 let coverage =
                     Coverage::of(&recording, sensor_from_probe, truth.surface(), Coverage::WITHIN_MM)?;
-                evaluate_covered(&reconstruction.vessel.surface(), truth, &coverage)
+                evaluate_covered(&lumen.surface(&settings), truth, &coverage)
             })
             .transpose()?;
         let name = self
@@ -68,7 +61,7 @@ impl Arguments {
             title: &format!("Reconstruction of {name}"),
             recording: &recording,
             settings: &settings,
-            reconstruction: &reconstruction,
+            lumen: &lumen,
             measured: truth.as_ref().zip(evaluation.as_ref()),
             command: &typed(),
         })?;
@@ -77,11 +70,11 @@ impl Arguments {
             return print_json(&serde_json::json!({
                 "recording": self.recording,
                 "page": self.output,
-                "report": reconstruction.report,
+                "report": lumen.report(),
                 "evaluation": evaluation,
             }));
         }
-        super::reconstruct::print_report(&reconstruction.report);
+        print_report(lumen.report());
         if let Some(evaluation) = &evaluation {
             println!("error      {:.4} mm (mean, nodes to truth)", evaluation.mesh_to_truth.mean_mm);
         }

@@ -1,5 +1,5 @@
-use crate::Result;
 use crate::settings::{Backend, Method, Outliers, Settings, Statistic};
+use crate::{Error, Result};
 use std::path::PathBuf;
 
 /// The settings as flags, one for each; they override a settings file, which overrides the defaults.
@@ -9,7 +9,7 @@ pub(super) struct SettingsArguments {
     /// Read settings from a TOML file; flags override it
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// How the wall is reconstructed [default: cylinders]
+    /// How the wall is reconstructed [default: sweep]
     #[arg(long, value_enum)]
     method: Option<Method>,
     /// Where it is computed [default: auto]
@@ -19,37 +19,37 @@ pub(super) struct SettingsArguments {
     /// see lumenmesh devices]
     #[arg(long, value_name = "NAME")]
     adapter: Option<String>,
-    /// Nodes a ring [default: 12]
+    /// Of cylinders: nodes a ring [default: 12]
     #[arg(long, value_name = "N")]
     nodes: Option<u32>,
-    /// Levels of faces a cylinder [default: 5]
+    /// Of cylinders: levels of faces [default: 5]
     #[arg(long, value_name = "L")]
     levels: Option<u32>,
-    /// Height of a cylinder [default: 10]
+    /// Of cylinders: height [default: 10]
     #[arg(long, value_name = "MM", allow_negative_numbers = true)]
     height: Option<f64>,
-    /// Iterations of the fit [default: 3]
+    /// Of cylinders: iterations of the fit [default: 3]
     #[arg(long, value_name = "COUNT")]
     iterations: Option<u32>,
-    /// Radial gate, in radii of the cylinder [default: 0.5,1.5]
+    /// Of cylinders: radial gate, in radii [default: 0.5,1.5]
     #[arg(long, value_name = "LOW,HIGH", value_parser = numbers::<2>, allow_hyphen_values = true)]
     gate: Option<[f64; 2]>,
-    /// Which distances of a triangle count [default: iqr]
+    /// Of cylinders: which distances of a triangle count [default: iqr]
     #[arg(long, value_enum)]
     outliers: Option<Outliers>,
-    /// What stands for the distances of a triangle [default: mean]
+    /// Of cylinders: what stands for the distances of a triangle [default: mean]
     #[arg(long, value_enum)]
     statistic: Option<Statistic>,
-    /// Fit and merge a cylinder every so many frames [default: 10]
+    /// Of cylinders: fit and merge one every so many frames [default: 10]
     #[arg(long, value_name = "FRAMES")]
     every: Option<u32>,
-    /// Nodes a ring of the method sweep [default: one for each ray, as far as echoes suffice]
+    /// Of a sweep: nodes a ring [default: one for each ray, as far as echoes suffice]
     #[arg(long, value_name = "N")]
     sweep_nodes: Option<u32>,
-    /// How much the method sweep expects a wall to bend within its own size [default: 0.125]
+    /// Of a sweep: how much a wall is expected to bend within its own size [default: 0.125]
     #[arg(long, value_name = "TAU")]
     roughness: Option<f64>,
-    /// Keep the parts of a swept vessel that no echo supports
+    /// Of a sweep: keep the parts that no echo supports
     #[arg(long)]
     keep_unsupported: bool,
     /// Probe in the tracker sensor's frame: position in mm and unit quaternion [default: 0,0,0,0,0,0,1]
@@ -92,7 +92,35 @@ impl SettingsArguments {
             settings.calibration.quaternion = [qx, qy, qz, qw];
         }
         settings.validate()?;
+        self.check_method(settings.method)?;
         Ok(settings)
+    }
+
+    /// Refuses flags that the method does not look at.
+    fn check_method(&self, method: Method) -> Result<()> {
+        let of_cylinders = [
+            ("nodes", self.nodes.is_some()),
+            ("levels", self.levels.is_some()),
+            ("height_mm", self.height.is_some()),
+            ("iterations", self.iterations.is_some()),
+            ("gate", self.gate.is_some()),
+            ("outliers", self.outliers.is_some()),
+            ("statistic", self.statistic.is_some()),
+            ("every", self.every.is_some()),
+        ];
+        let of_sweep = [
+            ("sweep.nodes", self.sweep_nodes.is_some()),
+            ("sweep.roughness", self.roughness.is_some()),
+            ("sweep.keep_unsupported", self.keep_unsupported),
+        ];
+        let (flags, found, expected) = match method {
+            Method::Sweep => (&of_cylinders[..], "a flag for the method sweep", "--method cylinders with it"),
+            Method::Cylinders => (&of_sweep[..], "a flag for the method cylinders", "--method sweep with it"),
+        };
+        match flags.iter().find(|(_, given)| *given) {
+            None => Ok(()),
+            Some((name, _)) => Err(Error::Setting { name, found: found.into(), expected: expected.into() }),
+        }
     }
 }
 

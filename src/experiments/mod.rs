@@ -15,7 +15,7 @@ use crate::evaluate::{Coverage, Truth};
 use crate::fit::{engine, merged_frames};
 use crate::geometry::Pose;
 use crate::recording::Recording;
-use crate::settings::{Backend, Settings};
+use crate::settings::{Backend, Method, Settings};
 use crate::simulate::{self, Insertion, Noise, Probe, Simulation, Vessel};
 use crate::surface::Surface;
 use serde::Serialize;
@@ -54,7 +54,7 @@ impl Plan {
         Self {
             vessel_name: vessel_name.into(),
             // The choice of a device must not change the numbers.
-            settings: Settings { backend: Backend::Cpu, ..Settings::default() },
+            settings: Settings { method: Method::Cylinders, backend: Backend::Cpu, ..Settings::default() },
             simulation: simulate::Settings {
                 noise: Noise { seed, ..Noise::default() },
                 ..simulate::Settings::default()

@@ -6,6 +6,7 @@ pub mod plot;
 mod reconstruction;
 pub mod render;
 mod study;
+mod sweep;
 
 pub use experiments::{experiments_page, tables};
 pub use page::Table;

@@ -6,7 +6,7 @@ use super::render::Style;
 use crate::Result;
 use crate::evaluate::{self, Evaluation, Truth};
 use crate::merge::Ring;
-use crate::reconstruction::Reconstruction;
+use crate::reconstruction::{Lumen, LumenReport, Reconstruction, Report};
 use crate::recording::{Recording, Spread, Summary};
 use crate::settings::Settings;
 use glam::DVec3;
@@ -19,26 +19,28 @@ pub struct Subject<'a> {
     pub recording: &'a Recording,
     /// How it was reconstructed.
     pub settings: &'a Settings,
-    /// The vessel. With history, the page shows the errors of every iteration.
-    pub reconstruction: &'a Reconstruction,
+    /// The lumen. Of cylinders with history, the page shows the errors of every iteration.
+    pub lumen: &'a Lumen,
     /// The truth and how far the vessel's surface is from it, where it is known.
     pub measured: Option<(&'a Truth, &'a Evaluation)>,
     /// What to type to get it again.
     pub command: &'a str,
 }
 
-/// One reconstruction as a self-contained HTML page: summary, convergence, error distribution, the vessel in colours
-/// from three sides, coverage, noise, settings and how to reproduce it.
+/// One reconstruction as a self-contained HTML page: summary, error distribution, the vessel in colours from three
+/// sides, coverage, noise, settings and how to reproduce it; of cylinders convergence too.
 ///
 /// # Errors
 /// Where a figure has nothing to show or settings have no TOML form.
 pub fn html(subject: &Subject) -> Result<String> {
-    let Subject { reconstruction, measured, .. } = subject;
+    let Subject { lumen, measured, .. } = subject;
     let mut page = Page::new(subject.title);
     summary(&mut page, subject);
-    convergence(&mut page, subject)?;
+    if let Lumen::Cylinders(reconstruction) = lumen {
+        convergence(&mut page, reconstruction, *measured)?;
+    }
 
-    let mut mesh = reconstruction.vessel.surface();
+    let mut mesh = lumen.surface(subject.settings);
     let array = match measured {
         Some((_, evaluation)) => {
             page.heading("Error");
@@ -58,7 +60,7 @@ pub fn html(subject: &Subject) -> Result<String> {
         None => {
             page.heading("Residual");
             page.paragraph(
-                "The truth is not known. The residual of a node is the mean distance of the points about it.",
+                "The truth is not known. The residual of a node says how far the points about it lie from the wall.",
             );
             let values = mesh.array("residual_mm").unwrap_or_default().to_vec();
             if values.iter().any(|v| v.is_finite()) {
@@ -81,8 +83,16 @@ pub fn html(subject: &Subject) -> Result<String> {
     };
     page.mesh(&mesh, &style, caption)?;
 
-    coverage(&mut page, subject)?;
-    noise(&mut page, subject)?;
+    match lumen {
+        Lumen::Cylinders(reconstruction) => {
+            coverage(&mut page, &reconstruction.vessel.rings)?;
+            noise(&mut page, reconstruction)?;
+        }
+        Lumen::Sweep(sweep) => {
+            super::sweep::coverage(&mut page, sweep)?;
+            super::sweep::noise(&mut page, sweep)?;
+        }
+    }
     page.heading("Settings");
     page.listing(&subject.settings.to_toml()?);
     page.heading("How to reproduce");
@@ -97,14 +107,18 @@ pub fn html(subject: &Subject) -> Result<String> {
 const VIOLIN: &str = "The width shows how common a value is, the bar reaches from the first to the third quartile, the dot \
     is the median; the axis ends at the largest 99th percentile.";
 
-fn facts(rows: Vec<(&str, String)>) -> Table {
+pub(super) fn facts(rows: Vec<(&str, String)>) -> Table {
     let rows = rows.into_iter().map(|(name, value)| vec![name.into(), value]).collect();
     Table { rows, ..Table::default() }
 }
 
+/// A count and what share of the whole that is.
+pub(super) fn share(part: u64, whole: u64) -> String {
+    format!("{part} ({:.2} %)", 100.0 * part as f64 / whole.max(1) as f64)
+}
+
 fn summary(page: &mut Page, subject: &Subject) {
     let recorded = Summary::of(subject.recording);
-    let report = &subject.reconstruction.report;
     let middle = |spread: Option<Spread>, decimals: usize| {
         spread.map_or_else(|| "unknown".into(), |s| format!("{:.decimals$}", s.median))
     };
@@ -113,6 +127,29 @@ fn summary(page: &mut Page, subject: &Subject) {
     if let Some((_, evaluation)) = subject.measured {
         rows.push(("fitting error (mean, mm)", format!("{:.3}", evaluation.mesh_to_truth.mean_mm)));
     }
+    let optional =
+        |value: Option<f64>, unit: &str| value.map_or_else(|| "unknown".into(), |v| format!("{v:.1} {unit}"));
+    rows.extend([
+        ("frames", format!("{}, of {} rays", subject.recording.frames.len(), middle(recorded.rays, 0))),
+        ("duration", optional(recorded.duration_s, "s")),
+        ("frame rate", optional(recorded.frame_rate_hz, "Hz")),
+        ("path of the sensor", format!("{:.0} mm", recorded.path_length_mm)),
+        ("contour radius (median)", format!("{} mm", middle(recorded.contour_radius_mm, 1))),
+    ]);
+    rows.extend(match subject.lumen.report() {
+        LumenReport::Cylinders(report) => cylinder_rows(report),
+        LumenReport::Sweep(report) => super::sweep::summary_rows(report),
+    });
+    page.table(&facts(rows));
+    for defect in recorded.defects.iter().filter(|d| d.frames > 0) {
+        page.paragraph(&format!(
+            "{} frames with an odd {}; expected {}.",
+            defect.frames, defect.field, defect.expected
+        ));
+    }
+}
+
+fn cylinder_rows(report: &Report) -> Vec<(&'static str, String)> {
     let cylinders = match report.estimated_cylinders {
         0 => format!("{}, as the recording places them", report.cylinders),
         _ => format!("{}, placed by the contours", report.cylinders),
@@ -123,30 +160,21 @@ fn summary(page: &mut Page, subject: &Subject) {
     };
     let seconds = &report.seconds;
     let milliseconds = (seconds.track + seconds.fit + seconds.merge) * 1e3;
-    let optional =
-        |value: Option<f64>, unit: &str| value.map_or_else(|| "unknown".into(), |v| format!("{v:.1} {unit}"));
-    rows.extend([
-        ("frames", format!("{}, of {} rays", report.frames, middle(recorded.rays, 0))),
-        ("duration", optional(recorded.duration_s, "s")),
-        ("frame rate", optional(recorded.frame_rate_hz, "Hz")),
-        ("path of the sensor", format!("{:.0} mm", recorded.path_length_mm)),
-        ("contour radius (median)", format!("{} mm", middle(recorded.contour_radius_mm, 1))),
+    vec![
+        ("method", "cylinders".into()),
         ("cylinders fitted", cylinders),
         ("vessel", format!("{} rings, {} nodes, {} triangles", report.rings, report.nodes, report.triangles)),
         ("engine", engine),
         ("time", format!("{milliseconds:.0} ms: placing frames, fitting, merging")),
-    ]);
-    page.table(&facts(rows));
-    for defect in recorded.defects.iter().filter(|d| d.frames > 0) {
-        page.paragraph(&format!(
-            "{} frames with an odd {}; expected {}.",
-            defect.frames, defect.field, defect.expected
-        ));
-    }
+    ]
 }
 
-fn convergence(page: &mut Page, subject: &Subject) -> Result<()> {
-    let travel = &subject.reconstruction.report.mean_travel_mm;
+fn convergence(
+    page: &mut Page,
+    reconstruction: &Reconstruction,
+    measured: Option<(&Truth, &Evaluation)>,
+) -> Result<()> {
+    let travel = &reconstruction.report.mean_travel_mm;
     if travel.is_empty() {
         return Ok(());
     }
@@ -155,7 +183,7 @@ fn convergence(page: &mut Page, subject: &Subject) -> Result<()> {
     let travelled = travel.iter().enumerate().map(|(i, t)| [i as f64 + 1.0, *t]).collect();
     let travelled = lines(Room::Half, "iteration", "mean |travel| (mm)", &[both("travel", travelled)])?;
     let travel_caption = "How far the nodes of the single cylinders moved in each iteration.";
-    match subject.measured.map(|(truth, _)| errors_by_iteration(subject.reconstruction, truth)) {
+    match measured.map(|(truth, _)| errors_by_iteration(reconstruction, truth)) {
         Some(errors) if !errors.is_empty() => {
             let svg = lines(Room::Half, "iteration", "mean error (mm)", &[both("error", errors)])?;
             let caption = "Mean distance of their nodes to the truth; iteration 0 is before the fit.";
@@ -228,8 +256,7 @@ fn along_the_vessel(rings: &[Ring], name: &str, of: impl Fn(&Ring) -> f64) -> Li
     Line { name: name.into(), points, mark: Mark::Line }
 }
 
-fn coverage(page: &mut Page, subject: &Subject) -> Result<()> {
-    let rings = &subject.reconstruction.vessel.rings;
+fn coverage(page: &mut Page, rings: &[Ring]) -> Result<()> {
     page.heading("Coverage");
     let nodes: usize = rings.iter().map(|r| r.support.len()).sum();
     let bare = rings.iter().flat_map(|r| &r.support).filter(|&&n| n == 0).count();
@@ -251,12 +278,10 @@ fn coverage(page: &mut Page, subject: &Subject) -> Result<()> {
     Ok(())
 }
 
-fn noise(page: &mut Page, subject: &Subject) -> Result<()> {
-    let report = &subject.reconstruction.report;
+fn noise(page: &mut Page, reconstruction: &Reconstruction) -> Result<()> {
+    let report = &reconstruction.report;
     let points = &report.points;
     page.heading("Noise");
-    let share =
-        |part: u64, whole: u64| format!("{part} ({:.2} %)", 100.0 * part as f64 / whole.max(1) as f64);
     let in_sections = points.used + points.rejected;
     page.table(&facts(vec![
         ("rays without an echo", share(points.missing, points.recorded + points.missing)),
@@ -264,7 +289,7 @@ fn noise(page: &mut Page, subject: &Subject) -> Result<()> {
         ("points outside the radial gate", share(points.gated, in_sections + points.gated)),
     ]));
     page.paragraph("Points count once in every cylinder that they lie in.");
-    let rings = &subject.reconstruction.vessel.rings;
+    let rings = &reconstruction.vessel.rings;
     let mean = |ring: &Ring| {
         let seen = || ring.residual_mm.iter().filter(|r| r.is_finite());
         seen().sum::<f64>() / seen().count() as f64

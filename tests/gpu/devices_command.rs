@@ -41,7 +41,7 @@ fn an_unknown_adapter_is_answered_with_those_that_are_there() {
     let output = Command::new(env!("CARGO_BIN_EXE_lumenmesh"))
         .arg("reconstruct")
         .arg(&pullback)
-        .args(["--backend", "gpu", "--adapter", "no such adapter", "-o"])
+        .args(["--method", "cylinders", "--backend", "gpu", "--adapter", "no such adapter", "-o"])
         .arg(&mesh)
         .output()
         .unwrap();

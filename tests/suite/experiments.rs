@@ -5,10 +5,10 @@ use lumenmesh::evaluate::{Coverage, Truth, evaluate, evaluate_covered};
 use lumenmesh::experiments::{Experiments, Outcome, Plan, run};
 use lumenmesh::fit::engine;
 use lumenmesh::geometry::Pose;
-use lumenmesh::reconstruction::Reconstruction;
+use lumenmesh::reconstruction::Lumen;
 use lumenmesh::recording::Recording;
 use lumenmesh::report::{Subject, experiments_page, html, tables};
-use lumenmesh::settings::Settings;
+use lumenmesh::settings::{Method, Settings};
 use lumenmesh::simulate::{self, Centreline, Insertion, Phantom, Shape, Simulation, Vessel};
 use lumenmesh::study::{self, Grid, Study};
 use lumenmesh::surface::Surface;
@@ -157,45 +157,43 @@ fn steady(vessel: &str) -> Simulation {
 #[test]
 fn a_reconstruction_fills_a_page_with_and_without_its_truth() {
     let simulation = steady("stenosis");
-    let settings = Settings::default();
-    let engine = engine(&settings).unwrap();
-    let reconstruction =
-        Reconstruction::new(&simulation.recording, &settings, &*engine, true, &|_| ()).unwrap();
     let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
-    let evaluation = evaluate(&reconstruction.vessel.surface(), &truth).unwrap();
-    let page = |measured| {
-        html(&Subject {
-            title: "A <stenosis>",
-            recording: &simulation.recording,
-            settings: &settings,
-            reconstruction: &reconstruction,
-            measured,
-            command: "lumenmesh report",
-        })
-        .unwrap()
-    };
-    let (with, without) = (page(Some((&truth, &evaluation))), page(None));
-    assert!(with.contains(&format!("<td>{:.4}</td>", evaluation.mesh_to_truth.mean_mm)));
-    for page in [&with, &without] {
-        assert!(is_self_contained(page) && page.contains("<h1>A &lt;stenosis&gt;</h1>"));
-        for part in ["Summary", "Convergence", "Vessel", "Coverage", "Noise", "Settings", "How to reproduce"]
-        {
-            assert!(page.contains(&format!("<h2>{part}</h2>")), "{part}");
+    let cylinders = Settings { method: Method::Cylinders, ..Settings::default() };
+    for settings in [&cylinders, &Settings::default()] {
+        let lumen = Lumen::of(&simulation.recording, settings, true, &|_| ()).unwrap();
+        let evaluation = evaluate(&lumen.surface(settings), &truth).unwrap();
+        let page = |measured| {
+            html(&Subject {
+                title: "A <stenosis>",
+                recording: &simulation.recording,
+                settings,
+                lumen: &lumen,
+                measured,
+                command: "lumenmesh report",
+            })
+            .unwrap()
+        };
+        let (with, without) = (page(Some((&truth, &evaluation))), page(None));
+        assert!(with.contains(&format!("<td>{:.4}</td>", evaluation.mesh_to_truth.mean_mm)));
+        for page in [&with, &without] {
+            assert!(is_self_contained(page) && page.contains("<h1>A &lt;stenosis&gt;</h1>"));
+            for part in ["Summary", "Vessel", "Coverage", "Noise", "Settings", "How to reproduce"] {
+                assert!(page.contains(&format!("<h2>{part}</h2>")), "{part}");
+            }
+            assert_eq!(page.contains("<h2>Convergence</h2>"), settings.method == Method::Cylinders);
         }
+        assert!(with.contains("<h2>Error</h2>") && without.contains("<h2>Residual</h2>"));
     }
-    let settings = Settings { iterations: 0, ..Settings::default() };
-    let reconstruction =
-        Reconstruction::new(&simulation.recording, &settings, &*engine, false, &|_| ()).unwrap();
+    let settings = Settings { iterations: 0, ..cylinders };
     let unfitted = html(&Subject {
         title: "Cylinders as they are",
         recording: &simulation.recording,
         settings: &settings,
-        reconstruction: &reconstruction,
+        lumen: &Lumen::of(&simulation.recording, &settings, false, &|_| ()).unwrap(),
         measured: None,
-        command: "lumenmesh report --iterations 0",
+        command: "lumenmesh report --method cylinders --iterations 0",
     });
     assert!(unfitted.unwrap().contains("nothing was fitted"));
-    assert!(with.contains("<h2>Error</h2>") && without.contains("<h2>Residual</h2>"));
 }
 
 #[test]

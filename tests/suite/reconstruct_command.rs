@@ -5,13 +5,19 @@ use glam::{DVec2, DVec3};
 use lumenmesh::cylinder::CylinderModel;
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Frame, Recording};
-use lumenmesh::settings::Settings;
+use lumenmesh::settings::{Method, Settings};
 use lumenmesh::surface::Surface;
 use serde_json::Value;
 use std::f64::consts::TAU;
 use std::path::Path;
 
+/// By the method cylinders.
 fn reconstruct(arguments: &[&str], folder: &Path) -> (i32, String, String) {
+    lumenmesh(&[&["reconstruct", "--method", "cylinders"], arguments].concat(), folder)
+}
+
+/// By the default method.
+fn sweep(arguments: &[&str], folder: &Path) -> (i32, String, String) {
     lumenmesh(&[&["reconstruct"], arguments].concat(), folder)
 }
 
@@ -174,7 +180,7 @@ fn the_report_is_there_for_people_and_for_machines() {
     assert_eq!(json["mean_travel_mm"].as_array().unwrap().len(), 3);
     assert!(["track", "fit", "merge"].iter().all(|stage| json["seconds"][stage].as_f64().unwrap() >= 0.0));
     let settings: Settings = serde_json::from_value(json["settings"].clone()).unwrap();
-    assert_eq!(settings, Settings::default());
+    assert_eq!(settings, Settings { method: Method::Cylinders, ..Settings::default() });
     assert_eq!(names(folder.path()), ["mesh.ply", "mesh.vtp", "rec.mat"]);
 }
 
@@ -215,8 +221,8 @@ fn the_cylinders_are_written_iteration_by_iteration() {
 #[test]
 fn a_swept_vessel_is_written_with_its_support() {
     let folder = folder();
-    let arguments = ["rec.mat", "-o", "vessel.vtp", "--method", "sweep", "--json"];
-    let (status, out, said) = reconstruct(&arguments, folder.path());
+    let arguments = ["rec.mat", "-o", "vessel.vtp", "--json"];
+    let (status, out, said) = sweep(&arguments, folder.path());
     assert_eq!(status, 0, "{said}");
     let report: Value = serde_json::from_str(&out).unwrap();
     assert_eq!(report["echoes"], 3600);
@@ -228,13 +234,31 @@ fn a_swept_vessel_is_written_with_its_support() {
     assert!(cut.nodes_mm.iter().all(|p| (p.x.hypot(p.y) - 5.0).abs() < 1e-3));
 
     let whole = ["rec.mat", "-o", "whole.ply", "--method", "sweep", "--keep-unsupported"];
-    let (status, out, said) = reconstruct(&whole, folder.path());
+    let (status, out, said) = sweep(&whole, folder.path());
     assert_eq!(status, 0, "{said}");
     assert!(out.contains("mesh       whole.ply"), "{out}");
     let whole = Surface::read(&folder.path().join("whole.ply")).unwrap();
     assert_eq!(whole.nodes_mm.len() as u64, report["nodes"].as_u64().unwrap());
     assert!(whole.nodes_mm.len() > cut.nodes_mm.len());
 
-    let cylinders = ["rec.mat", "-o", "no.vtp", "--method", "sweep", "--cylinders", "no.csv"];
-    refused(folder.path(), &cylinders, 1, "--cylinders");
+    assert!(out.contains("frames     60\n"), "{out}");
+}
+
+#[test]
+fn flags_that_the_method_does_not_look_at_are_refused() {
+    let folder = folder();
+    let before = names(folder.path());
+    for (method, flags, expected) in [
+        ("sweep", &["--nodes", "24"][..], "setting nodes: found a flag for the method sweep"),
+        ("sweep", &["--every", "5"], "setting every: found a flag for the method sweep"),
+        ("sweep", &["--cylinders", "all.csv"], "setting method: found sweep, expected cylinders"),
+        ("cylinders", &["--sweep-nodes", "24"], "setting sweep.nodes: found a flag for the method cylinders"),
+        ("cylinders", &["--keep-unsupported"], "expected --method sweep with it"),
+    ] {
+        let arguments = [&["rec.mat", "-o", "no.vtp", "--method", method][..], flags].concat();
+        let (status, out, said) = sweep(&arguments, folder.path());
+        assert_eq!((status, out.as_str()), (1, ""), "{arguments:?}: {said}");
+        assert!(said.contains(expected), "{arguments:?}: {said}");
+    }
+    assert_eq!(names(folder.path()), before);
 }

@@ -5,7 +5,7 @@ use glam::{DMat3, DVec2, DVec3};
 use lumenmesh::evaluate::{Locator, Truth};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Frame, Recording};
-use lumenmesh::settings::{Method, Settings, Sweep as SweepSettings};
+use lumenmesh::settings::{Settings, Sweep as SweepSettings};
 use lumenmesh::simulate::{self, ContourNoise, Insertion, Move, Noise, Phantom, Shape, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
@@ -312,25 +312,4 @@ fn small_and_odd_recordings_give_finite_surfaces_or_errors() {
         }
     }
     assert!(surfaces >= 10, "{surfaces}");
-}
-
-#[test]
-fn what_only_cylinders_can_do_is_refused() {
-    let recording = Simulation::run(
-        Phantom::from("cylinder".parse::<Shape>().unwrap()).vessel().unwrap(),
-        &simulate::Settings { insertion: Insertion::steady(), ..simulate::Settings::default() },
-    )
-    .unwrap()
-    .recording;
-    let sweep = Settings { method: Method::Sweep, ..Settings::default() };
-    let engine = lumenmesh::fit::engine(&sweep).unwrap();
-    let refused =
-        lumenmesh::reconstruction::Reconstruction::new(&recording, &sweep, &*engine, false, &|_| ());
-    assert!(refused.unwrap_err().to_string().starts_with("setting method: found sweep"));
-    #[cfg(feature = "gpu")]
-    {
-        let on_device = Settings { backend: lumenmesh::settings::Backend::Gpu, ..sweep };
-        let refused = Sweep::of(&recording, &on_device).unwrap_err().to_string();
-        assert!(refused.starts_with("setting backend: found gpu"), "{refused}");
-    }
 }
