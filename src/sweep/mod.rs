@@ -7,9 +7,9 @@
 mod axis;
 mod banded;
 mod centreline;
+mod contour;
 mod echo;
 mod grid;
-mod star;
 mod support;
 mod wall;
 
@@ -235,11 +235,13 @@ impl Sweep {
 
 /// The frames whose contours no radius about their centre can hold.
 fn folded_frames(frames: &[Frame]) -> Result<Vec<usize>> {
-    let share =
-        |frame: &Frame| frame.centroid_mm().map(|centroid| star::folded_share(&frame.contour_mm, centroid));
+    let share = |frame: &Frame| {
+        let frame = outlined(frame);
+        frame.centroid_mm().map(|centroid| contour::folded_share(&frame.contour_mm, centroid))
+    };
     let shares: Vec<Option<f64>> = frames.par_iter().map(share).collect();
     let folded: Vec<usize> =
-        (0..frames.len()).filter(|&k| shares[k].is_some_and(|s| s > star::MOST_FOLDED)).collect();
+        (0..frames.len()).filter(|&k| shares[k].is_some_and(|s| s > contour::MOST_FOLDED)).collect();
     let seen = shares.iter().flatten().count();
     match folded.first() {
         Some(&frame) if 2 * folded.len() > seen => Err(Error::Frame {
@@ -254,6 +256,11 @@ fn folded_frames(frames: &[Frame]) -> Result<Vec<usize>> {
         }),
         _ => Ok(folded),
     }
+}
+
+/// The frame with an outline of its lumen for a contour: without wrong echoes and noise.
+fn outlined(frame: &Frame) -> Frame {
+    Frame { contour_mm: contour::smoothed(&contour::without_spikes(&frame.contour_mm)), ..*frame }
 }
 
 /// Frames of which some have lost their contours.
@@ -272,10 +279,11 @@ fn echo_count(frames: &[Frame]) -> usize {
 /// none.
 fn contour_centres(frames: &[Frame], poses: &[Pose]) -> (Vec<DVec3>, f64) {
     let (centres_mm, mut radii_mm): (Vec<_>, Vec<_>) = frames
-        .iter()
+        .par_iter()
         .zip(poses)
         .filter_map(|(frame, pose)| {
-            let (centre, radius) = frame.centroid_mm().zip(contour_radius_mm(frame))?;
+            let frame = outlined(frame);
+            let (centre, radius) = frame.centroid_mm().zip(contour_radius_mm(&frame))?;
             Some((pose.transform_point(centre.extend(0.0)), radius))
         })
         .unzip();
