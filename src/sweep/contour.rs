@@ -1,8 +1,33 @@
 //! What a single contour says: its points without wrong echoes, and whether radii about its centre can hold it.
 
 use super::median;
+use crate::recording::Frame;
 use glam::DVec2;
 use std::f64::consts::TAU;
+
+/// The lumen as a frame's contour draws it, without wrong echoes and noise.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Outline {
+    /// Centroid of its area in the probe's plane, mm.
+    pub centre_mm: DVec2,
+    /// Radius of the circle with its area, mm.
+    pub radius_mm: f64,
+    /// See [`folded_share`].
+    pub folded_share: f64,
+}
+
+impl Outline {
+    /// `None` of a contour that goes round no area.
+    pub(super) fn of(frame: &Frame) -> Option<Self> {
+        let outline = Frame { contour_mm: smoothed(&without_spikes(&frame.contour_mm)), ..*frame };
+        let centre_mm = outline.centroid_mm()?;
+        let folded_share = folded_share(&outline.contour_mm, centre_mm);
+        let first = *outline.contour_mm.first()?;
+        let pairs = outline.contour_mm.windows(2).map(|pair| [pair[0] - first, pair[1] - first]);
+        let twice_area: f64 = pairs.map(|[a, b]| a.perp_dot(b)).sum();
+        Some(Self { centre_mm, radius_mm: (twice_area.abs() / TAU).sqrt(), folded_share })
+    }
+}
 
 /// Points on either side that a point is compared with: wrong echoes come alone or in twos and threes.
 const NEIGHBOURS: usize = 4;
@@ -11,7 +36,7 @@ const FARTHEST: f64 = 6.0;
 
 /// The echoes of a contour in ray order, without those far from the median of the points about them: one spike of the
 /// length of a probe's range moves the centroid of a small lumen by more than its radius.
-pub(super) fn without_spikes(contour_mm: &[DVec2]) -> Vec<DVec2> {
+fn without_spikes(contour_mm: &[DVec2]) -> Vec<DVec2> {
     let points: Vec<DVec2> = contour_mm.iter().copied().filter(|p| !p.is_nan()).collect();
     let count = points.len();
     if count <= 2 * NEIGHBOURS {
@@ -22,7 +47,8 @@ pub(super) fn without_spikes(contour_mm: &[DVec2]) -> Vec<DVec2> {
         for (k, value) in window.iter_mut().enumerate() {
             *value = of(points[(i + count + k - NEIGHBOURS) % count]);
         }
-        median(&mut window)
+        window.sort_unstable_by(f64::total_cmp);
+        window[NEIGHBOURS]
     };
     let misses: Vec<f64> =
         (0..count).map(|i| points[i].distance(DVec2::new(middle(i, |p| p.x), middle(i, |p| p.y)))).collect();
@@ -37,7 +63,7 @@ pub(super) const MOST_FOLDED: f64 = 0.2;
 
 /// A closed contour without its noise: points averaged with as many neighbours as their noise asks for, none where there
 /// is none. Noise makes a contour of many points cross itself all along, and what it goes round has no centre.
-pub(super) fn smoothed(points: &[DVec2]) -> Vec<DVec2> {
+fn smoothed(points: &[DVec2]) -> Vec<DVec2> {
     let count = points.len();
     if count < 3 {
         return points.to_vec();
@@ -66,7 +92,7 @@ pub(super) fn smoothed(points: &[DVec2]) -> Vec<DVec2> {
 /// By how much a contour turns back about its centroid: the area swept backwards by the ray from there to the contour,
 /// as a share of that swept forwards. 0 where the lumen is star-shaped about it: every ray from there meets the wall
 /// once.
-pub(super) fn folded_share(contour_mm: &[DVec2], centroid_mm: DVec2) -> f64 {
+fn folded_share(contour_mm: &[DVec2], centroid_mm: DVec2) -> f64 {
     let next = contour_mm.iter().cycle().skip(1);
     let (mut forwards, mut backwards) = (0.0, 0.0);
     for (a, b) in contour_mm.iter().zip(next) {
@@ -99,15 +125,13 @@ mod tests {
     }
 
     fn share(contour: &[DVec2]) -> f64 {
-        let frame = crate::recording::Frame {
+        let frame = Frame {
             world_from_sensor: crate::geometry::Pose::IDENTITY,
             time_s: None,
             contour_mm: contour.to_vec(),
             cylinder: None,
         };
-        let contour_mm = smoothed(&without_spikes(contour));
-        let frame = crate::recording::Frame { contour_mm, ..frame };
-        folded_share(&frame.contour_mm, frame.centroid_mm().unwrap())
+        Outline::of(&frame).unwrap().folded_share
     }
 
     #[test]

@@ -23,6 +23,7 @@ use crate::surface::Surface;
 use crate::tube::face_triangles;
 use crate::{Error, Result};
 
+use contour::Outline;
 use echo::Echo;
 use glam::{DVec2, DVec3};
 use grid::Grid;
@@ -121,17 +122,25 @@ impl Sweep {
         recording.check()?;
         let start = Instant::now();
         let sensor_from_probe = settings.calibration.sensor_from_probe();
-        let folded = folded_frames(&recording.frames)?;
+        let mut outlines: Vec<Option<Outline>> = recording.frames.par_iter().map(Outline::of).collect();
+        let folded = folded_frames(&outlines)?;
         let without_folded: Vec<Frame>;
         let frames = match folded.is_empty() {
             true => &recording.frames,
             false => {
+                folded.iter().for_each(|&k| outlines[k] = None);
                 without_folded = without(&recording.frames, &folded);
                 &without_folded
             }
         };
         let poses: Vec<_> = frames.iter().map(|f| f.world_from_sensor * sensor_from_probe).collect();
-        let (centres_mm, radius_mm) = contour_centres(frames, &poses);
+        let mut radii_mm: Vec<f64> = outlines.iter().flatten().map(|o| o.radius_mm).collect();
+        let radius_mm = median(&mut radii_mm);
+        let centres_mm: Vec<DVec3> = outlines
+            .iter()
+            .zip(&poses)
+            .filter_map(|(outline, pose)| Some(pose.transform_point(outline.as_ref()?.centre_mm.extend(0.0))))
+            .collect();
         let curve = (radius_mm > 0.0).then(|| centreline::centreline(&centres_mm, radius_mm)).flatten();
         let Some(curve) = curve else {
             return Err(Error::Frame {
@@ -234,33 +243,23 @@ impl Sweep {
 }
 
 /// The frames whose contours no radius about their centre can hold.
-fn folded_frames(frames: &[Frame]) -> Result<Vec<usize>> {
-    let share = |frame: &Frame| {
-        let frame = outlined(frame);
-        frame.centroid_mm().map(|centroid| contour::folded_share(&frame.contour_mm, centroid))
-    };
-    let shares: Vec<Option<f64>> = frames.par_iter().map(share).collect();
-    let folded: Vec<usize> =
-        (0..frames.len()).filter(|&k| shares[k].is_some_and(|s| s > contour::MOST_FOLDED)).collect();
-    let seen = shares.iter().flatten().count();
+fn folded_frames(outlines: &[Option<Outline>]) -> Result<Vec<usize>> {
+    let share = |k: usize| outlines[k].map_or(0.0, |outline| outline.folded_share);
+    let folded: Vec<usize> = (0..outlines.len()).filter(|&k| share(k) > contour::MOST_FOLDED).collect();
+    let seen = outlines.iter().flatten().count();
     match folded.first() {
         Some(&frame) if 2 * folded.len() > seen => Err(Error::Frame {
             frame,
             field: "contour",
             found: format!(
                 "one that turns back about its centre ({:.0} % of the area that it goes round), as do {} of {seen}",
-                100.0 * shares[frame].unwrap_or_default(),
+                100.0 * share(frame),
                 folded.len()
             ),
             expected: "star-shaped lumens: every ray from the centre meets the wall once".into(),
         }),
         _ => Ok(folded),
     }
-}
-
-/// The frame with an outline of its lumen for a contour: without wrong echoes and noise.
-fn outlined(frame: &Frame) -> Frame {
-    Frame { contour_mm: contour::smoothed(&contour::without_spikes(&frame.contour_mm)), ..*frame }
 }
 
 /// Frames of which some have lost their contours.
@@ -273,22 +272,6 @@ fn without(frames: &[Frame], blind: &[usize]) -> Vec<Frame> {
 /// Wall points of all frames.
 fn echo_count(frames: &[Frame]) -> usize {
     frames.iter().map(|f| f.echoes_mm().count()).sum()
-}
-
-/// The centres of the contours in the world, mm, and the contours' median radius, mm; frames without a contour have
-/// none.
-fn contour_centres(frames: &[Frame], poses: &[Pose]) -> (Vec<DVec3>, f64) {
-    let (centres_mm, mut radii_mm): (Vec<_>, Vec<_>) = frames
-        .par_iter()
-        .zip(poses)
-        .filter_map(|(frame, pose)| {
-            let frame = outlined(frame);
-            let (centre, radius) = frame.centroid_mm().zip(contour_radius_mm(&frame))?;
-            Some((pose.transform_point(centre.extend(0.0)), radius))
-        })
-        .unzip();
-    let radius_mm = median(&mut radii_mm);
-    (centres_mm, radius_mm)
 }
 
 /// Nodes a ring, and the distance of two rings in mm, that the echoes along a vessel can bear.
@@ -335,14 +318,6 @@ fn placed(frames: &[Frame], poses: &[Pose], axis: &Axis, nodes: usize) -> Vec<Ec
         .collect();
     echoes.par_sort_by(|a, b| a.ring().total_cmp(&b.ring()));
     echoes
-}
-
-/// Radius of the circle with the area inside the contour, mm.
-fn contour_radius_mm(frame: &Frame) -> Option<f64> {
-    let first = frame.echoes_mm().next()?;
-    let points = || frame.echoes_mm().map(|p| p - first);
-    let twice_area: f64 = points().zip(points().skip(1)).map(|(a, b)| a.perp_dot(b)).sum();
-    Some((twice_area.abs() / TAU).sqrt())
 }
 
 /// Noise of the contours along the wall, mm.
