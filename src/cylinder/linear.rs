@@ -38,6 +38,10 @@ pub(super) fn backward<const N: usize>(l: &Matrix<N>, mut b: [f64; N]) -> [f64; 
     b
 }
 
+pub(super) fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,7 +1,7 @@
 //! The local tube as the state of an unscented Kalman filter.
 
 use super::follow::{Follower, Ring, TubeFit, robust_sd};
-use super::linear::{Matrix, backward, cholesky, forward};
+use super::linear::{Matrix, backward, cholesky, dot, forward};
 use super::tube::{Change, LocalTube, PARAMETERS};
 use super::{CylinderEstimator, CylinderModel};
 use crate::geometry::Pose;
@@ -69,20 +69,22 @@ const RADIUS_POWERS: [i32; PARAMETERS] = [1, 1, 0, 0, -1, -1, 1, 0, 1, 1, 1, 1];
 const SLACK_MM: f64 = 1.0;
 /// Standard deviation of the error that all points of a frame share, mm.
 const POSE_SD_MM: f64 = 0.3;
+/// Standard deviation of a section's own oval, in radii; see `WindowFit`.
+const SECTION_SD: f64 = 0.1;
 /// Huber's constant, and the gate in radii beyond which a point is no wall.
 const HUBER_SDS: f64 = 1.345;
 const GATE_RADII: f64 = 0.25;
 /// Tukey's constant; points nearer than this, in radii, are never outliers.
 const TUKEY_SDS: f64 = 4.0;
 const NEAR_RADII: f64 = 0.05;
-const LEAST_NOISE: f64 = 0.002;
+const LEAST_NOISE: f64 = 0.02;
 /// Share of a frame in the running estimate of the noise.
 const NOISE_RATE: f64 = 0.1;
 /// Rounds of reweighting.
 const ROUNDS: usize = 3;
 
-/// The tube's parameters and a shift of the frame across it.
-const STATES: usize = PARAMETERS + 2;
+/// The tube's parameters, a shift of the frame across it, and an oval of the frame's own.
+const STATES: usize = PARAMETERS + 4;
 /// Sigma points lie this many standard deviations out (√3: the kurtosis of a normal distribution).
 const SPREAD: f64 = 1.732_050_807_568_877_2;
 
@@ -180,8 +182,9 @@ impl Filter {
         for (row, of) in prior.iter_mut().zip(&self.covariance) {
             row[..PARAMETERS].copy_from_slice(of);
         }
-        for i in PARAMETERS..STATES {
-            prior[i][i] = POSE_SD_MM * POSE_SD_MM;
+        let section_mm = SECTION_SD * self.tube.radius_mm;
+        for (i, sd) in [POSE_SD_MM, POSE_SD_MM, section_mm, section_mm].into_iter().enumerate() {
+            prior[PARAMETERS + i][PARAMETERS + i] = sd * sd;
         }
         let root = cholesky(&prior)?;
         let middle = self.misses(ring, &[0.0; STATES]);
@@ -251,9 +254,11 @@ impl Filter {
 
     /// The distances of a ring's points from the tube after a step, in standard deviations of an echo.
     fn misses(&self, ring: &Ring, step: &[f64; STATES]) -> Vec<f64> {
-        let mut change = [0.0; PARAMETERS];
-        change.copy_from_slice(&step[..PARAMETERS]);
-        let shift = DVec3::new(step[PARAMETERS], step[PARAMETERS + 1], 0.0);
+        let mut change: Change = std::array::from_fn(|i| step[i]);
+        let [shift_x, shift_y, oval_x, oval_y]: [f64; 4] = std::array::from_fn(|i| step[PARAMETERS + i]);
+        change[8] += oval_x;
+        change[9] += oval_y;
+        let shift = DVec3::new(shift_x, shift_y, 0.0);
         let shift = self.tube.world_from_axis.rotation * shift;
         let tube = self.tube.changed(&change);
         let to_axis = tube.world_from_axis.inverse();
@@ -264,8 +269,4 @@ impl Filter {
         };
         ring.points_mm.iter().map(miss).collect()
     }
-}
-
-fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

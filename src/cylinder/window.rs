@@ -1,12 +1,12 @@
 //! The local tube as a robust fit to all wall seen nearby.
 
 use super::follow::{Follower, Ring, TubeFit, robust_sd};
-use super::linear::{Matrix, backward, cholesky, forward};
+use super::linear::{Matrix, backward, cholesky, dot, forward};
 use super::tube::{Change, LocalTube, PARAMETERS};
 use super::{CylinderEstimator, CylinderModel};
 use crate::geometry::Pose;
 use crate::recording::Frame;
-use glam::{DMat2, DVec2, DVec3};
+use glam::DVec3;
 use std::collections::VecDeque;
 
 /// A cylinder from a robust fit to the wall that the last frames showed nearby; see `docs/methods.md`.
@@ -59,6 +59,9 @@ const LOBES_SD: f64 = 0.02;
 
 /// Standard deviation of the error that all points of a frame share, mm: that of a usual tracker.
 const POSE_SD_MM: f64 = 0.3;
+/// Standard deviation of a section's own oval, in radii. A tilted section is an ellipse, but so are many vessels: without
+/// this, a real one that is never quite round tips the tube over by 10 degrees and more.
+const SECTION_SD: f64 = 0.1;
 
 /// Tukey's constant: 95 % efficient where errors are normal.
 const TUKEY_SDS: f64 = 4.0;
@@ -67,7 +70,7 @@ const NEAR: f64 = 0.05;
 const NEAR_AT_FIRST: f64 = 0.3;
 
 /// Noise is taken to be no less than this, in radii: what a smooth tube leaves of any wall.
-const LEAST_NOISE: f64 = 0.002;
+const LEAST_NOISE: f64 = 0.02;
 
 /// Frames during which the fit takes more steps than one.
 const YOUNG: usize = 10;
@@ -155,7 +158,7 @@ impl Window {
         let (mut direction, mut tangential, mut total) = (DVec3::ZERO, 0.0, 0.0);
         for ring in &self.rings {
             let image_normal = to_axis.rotation * ring.world_from_probe.rotation.z_axis;
-            let mut shared = Shared::default();
+            let mut shared = Shared::new(tube.radius_mm);
             for &p in &ring.points_mm {
                 let p = to_axis.transform_point(p);
                 let held = tube.hold(p, image_normal, 3.0 * self.noise_mm);
@@ -178,7 +181,7 @@ impl Window {
                 }
                 shared.add(weight, &held.gain, held.miss_mm);
             }
-            shared.take_out(&mut normal, &mut right);
+            shared.take_out(&mut normal, &mut right)?;
             direction += image_normal * shared.weight;
             tangential += ring.tangential_mm2 * shared.weight;
             total += shared.weight;
@@ -215,43 +218,67 @@ fn bisquare(u: f64) -> f64 {
     (1.0 - u * u).powi(2)
 }
 
-/// What the points of one ring say about a shift of the whole ring across the axis.
-#[derive(Default)]
+/// Errors that the points of one ring share: a shift across the axis (2) and an oval (2).
+const SHARED: usize = 4;
+/// Which of the parameters act alike.
+const ACTS_LIKE: [usize; SHARED] = [0, 1, 8, 9];
+
+/// What the points of one ring say about the errors that they share.
 struct Shared {
     weight: f64,
-    normal: DMat2,
-    right: DVec2,
-    with: [DVec2; PARAMETERS],
+    normal: Matrix<SHARED>,
+    right: [f64; SHARED],
+    with: [[f64; SHARED]; PARAMETERS],
 }
 
 impl Shared {
+    fn new(radius_mm: f64) -> Self {
+        let mut normal = [[0.0; SHARED]; SHARED];
+        for (i, sd) in
+            [POSE_SD_MM, POSE_SD_MM, SECTION_SD * radius_mm, SECTION_SD * radius_mm].iter().enumerate()
+        {
+            normal[i][i] = 1.0 / (sd * sd);
+        }
+        Self { weight: 0.0, normal, right: [0.0; SHARED], with: [[0.0; SHARED]; PARAMETERS] }
+    }
+
     fn add(&mut self, weight: f64, gain: &Change, miss_mm: f64) {
-        let n = DVec2::new(gain[0], gain[1]);
+        let own = ACTS_LIKE.map(|i| gain[i]);
         self.weight += weight;
-        self.normal += DMat2::from_cols(n * n.x, n * n.y) * weight;
-        self.right += n * (weight * miss_mm);
-        for (sum, g) in self.with.iter_mut().zip(gain) {
-            *sum += n * (weight * g);
+        for i in 0..SHARED {
+            let g = weight * own[i];
+            for (sum, other) in self.normal[i][..=i].iter_mut().zip(&own) {
+                *sum += g * other;
+            }
+            self.right[i] += g * miss_mm;
+        }
+        for (sums, g) in self.with.iter_mut().zip(gain) {
+            let g = weight * g;
+            for (sum, own) in sums.iter_mut().zip(&own) {
+                *sum += g * own;
+            }
         }
     }
 
-    /// Integrates the shift out of the sums over the points: the pose's error is theirs in common.
-    fn take_out(&self, normal: &mut Matrix<PARAMETERS>, right: &mut Change) {
-        let inverse = (self.normal + DMat2::from_diagonal(DVec2::splat(POSE_SD_MM.powi(-2)))).inverse();
+    /// Integrates the shared errors out of the sums over the points.
+    fn take_out(&self, normal: &mut Matrix<PARAMETERS>, right: &mut Change) -> Option<()> {
+        let root = cholesky(&self.normal)?;
+        let own = forward(&root, self.right);
+        let with = self.with.map(|with| forward(&root, with));
         for i in 0..PARAMETERS {
-            let with = inverse * self.with[i];
-            for (sum, other) in normal[i][..=i].iter_mut().zip(&self.with) {
-                *sum -= with.dot(*other);
+            for (sum, other) in normal[i][..=i].iter_mut().zip(&with) {
+                *sum -= dot(&with[i], other);
             }
-            right[i] -= with.dot(self.right);
+            right[i] -= dot(&with[i], &own);
         }
+        Some(())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DMat3;
+    use glam::{DMat3, DVec2};
     use std::f64::consts::TAU;
 
     /// A cylinder of radius 10 about z, seen from its axis by a probe that leans as it turns.

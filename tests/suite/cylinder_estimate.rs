@@ -96,7 +96,7 @@ fn estimates_lie_along_the_vessel_better_than_the_models_of_the_recordings() {
         println!(
             "{name}: from the vessel's middle line: estimates {ours:.2?}, models {theirs:.2?} (mm, degrees)"
         );
-        assert!(ours[0] < 1.5 && ours[1] < 6.0, "{name}: {ours:?}");
+        assert!(ours[0] < 1.5 && ours[1] < 7.0, "{name}: {ours:?}");
         assert!(ours[0] < theirs[0] && ours[1] < theirs[1], "{name}: {ours:?} {theirs:?}");
     }
 }
