@@ -1,8 +1,18 @@
 //! The local cylinder model: the straight piece of vessel about one frame.
 
 mod estimate;
+mod follow;
+mod linear;
+mod tube;
+mod unscented;
+mod window;
 
-pub use estimate::{CylinderEstimator, LocalEstimate, Upright};
+pub use estimate::{CylinderEstimator, Upright};
+
+/// The estimator of frames without a model, wherever none is named.
+pub type LocalEstimate = WindowFit;
+pub use unscented::UnscentedFilter;
+pub use window::WindowFit;
 
 use crate::geometry::Pose;
 use glam::{DMat3, DVec3};
