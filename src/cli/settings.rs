@@ -1,5 +1,5 @@
 use crate::Result;
-use crate::settings::{Backend, Method, Outliers, Settings, Statistic};
+use crate::settings::{Backend, Merge, Method, Outliers, Settings, Statistic};
 use std::path::PathBuf;
 
 /// The settings as flags, one for each; they override a settings file, which overrides the defaults.
@@ -43,6 +43,9 @@ pub(super) struct SettingsArguments {
     /// Fit and merge a cylinder every so many frames [default: 10]
     #[arg(long, value_name = "FRAMES")]
     every: Option<u32>,
+    /// How cylinders become one vessel [default: stitch]
+    #[arg(long, value_enum)]
+    merge: Option<Merge>,
     /// Nodes a ring of the method sweep [default: one for each ray, as far as echoes suffice]
     #[arg(long, value_name = "N")]
     sweep_nodes: Option<u32>,
@@ -82,6 +85,7 @@ impl SettingsArguments {
         set(&mut settings.outliers, self.outliers);
         set(&mut settings.statistic, self.statistic);
         set(&mut settings.every, self.every);
+        set(&mut settings.merge, self.merge);
         if self.sweep_nodes.is_some() {
             settings.sweep.nodes = self.sweep_nodes;
         }
