@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 /// One vessel from successive cylinders, the mean of those that overlap (`docs/methods.md`).
 ///
-/// Rings are laid through the middles of the cylinders, a level's height apart. From a ring's middle a ray goes out to
+/// Rings are laid along the origins of the cylinders, a level's height apart. From a ring's middle a ray goes out to
 /// each of its nodes; where it meets the wall of a cylinder is that cylinder's say in where the node lies, weighed by
 /// the points behind it and by how near it is to the cylinder's ends, where the weight goes to zero. A cylinder can
 /// come at any time and in any place along the vessel, and changes only the rings that it overlaps.
@@ -46,8 +46,6 @@ const TIGHTEST_BEND_RADII: f64 = 1.5;
 const BESIDE_RADII: f64 = 0.5;
 /// Weight of a node with points whose neighbours have none: half of its triangles guessed.
 const HALF_SEEN: f64 = 0.01;
-/// Weight of the round lumen against the heaviest node of its ring.
-const ROUND: f64 = 1e-3;
 /// Least sin² of the angle between a ray and a cylinder's axis: what goes along the wall does not show where it is.
 const LEAST_ACROSS: f64 = 0.25;
 /// How often the wall is looked up again where the ray met it last: walls that lean by less than 1:2 against the
@@ -95,7 +93,7 @@ impl Blend {
     }
 
     /// Lays rings from the end of the vessel near ring `nearest`, or from the edge of a gap, to the cylinder's
-    /// middle. Returns the farthest ring that the cylinder can overlap and how many were laid.
+    /// origin. Returns the farthest ring that the cylinder can overlap and how many were laid.
     fn extend(&mut self, nearest: usize, wall: &Wall, forward: bool) -> (usize, usize) {
         let sense = if forward { 1.0 } else { -1.0 };
         let (mut at, mut laid) = (nearest, 0);
@@ -103,7 +101,8 @@ impl Blend {
             let Pose { rotation, translation_mm: middle_mm } = self.stations[at].world_from_ring;
             let next = if forward { at.checked_add(1) } else { at.checked_sub(1) };
             let next = next.and_then(|next| self.stations.get(next).map(|s| (next, s)));
-            let room_mm = next.map_or(f64::INFINITY, |(_, s)| s.world_from_ring.translation_mm.distance(middle_mm));
+            let room_mm =
+                next.map_or(f64::INFINITY, |(_, s)| s.world_from_ring.translation_mm.distance(middle_mm));
             if let Some((next, _)) = next.filter(|_| room_mm < 1.5 * wall.step_mm()) {
                 at = next;
                 continue;
@@ -118,7 +117,8 @@ impl Blend {
             }
             // The way of the vessel over its last half radius, on to the origin: a cylinder's own axis says less.
             let back = (wall.radius_mm() / 2.0 / wall.step_mm()).round() as usize;
-            let from = if forward { at.saturating_sub(back) } else { (at + back).min(self.stations.len() - 1) };
+            let from =
+                if forward { at.saturating_sub(back) } else { (at + back).min(self.stations.len() - 1) };
             let way = (wall.on_axis(0.0) - self.stations[from].world_from_ring.translation_mm) * sense;
             let most_rad = (step_mm / (TIGHTEST_BEND_RADII * wall.radius_mm())).atan();
             let heading = turned(rotation.z_axis, way, most_rad);
@@ -141,7 +141,7 @@ impl Blend {
     /// The vessel so far: the rings of which at least half of the nodes were seen.
     ///
     /// `support` of a node is the mean number of points behind it in the cylinders, rounded up; nodes that none saw
-    /// have 0 and lie where the circle through the others has them.
+    /// have 0 and lie on the circle that fits the others best.
     pub fn vessel(&self) -> Vessel {
         Vessel { rings: self.stations.iter().filter_map(Station::ring).collect() }
     }
@@ -155,18 +155,20 @@ impl Station {
         if 2 * (0..count).filter(|&j| seen(j).is_some()).count() < count {
             return None;
         }
-        let node = |j: usize| seen(j).map(|s| (ray(count, j).xy() * (s.radius_mm / s.weight), s.weight));
-        let circle = Circle::through((0..count).filter_map(node))?;
-        let round = ROUND * self.sums.iter().map(|s| s.weight).fold(0.0, f64::max);
+        let radius_mm = |sums: &Sums| sums.radius_mm / sums.weight;
+        let circle =
+            Circle::through((0..count).filter_map(|j| Some(ray(count, j).xy() * radius_mm(&seen(j)?))))?;
         let nodes_mm = (0..count).map(|j| {
-            let (ray, sums) = (ray(count, j), self.sums[j]);
-            let radius_mm = (sums.radius_mm + round * circle.radius_along(ray.xy())) / (sums.weight + round);
+            let ray = ray(count, j);
+            let radius_mm = seen(j).map_or_else(|| circle.radius_along(ray.xy()), |sums| radius_mm(&sums));
             self.world_from_ring.transform_point(ray * radius_mm)
         });
         Some(Ring {
             frame: self.frame,
             nodes_mm: nodes_mm.collect(),
-            support: (0..count).map(|j| seen(j).map_or(0, |s| (s.support / s.weight).ceil() as u32)).collect(),
+            support: (0..count)
+                .map(|j| seen(j).map_or(0, |s| (s.support / s.weight).ceil() as u32))
+                .collect(),
             residual_mm: (0..count).map(|j| seen(j).map_or(f64::NAN, |s| s.residual_mm / s.weight)).collect(),
         })
     }
@@ -179,15 +181,15 @@ struct Circle {
 }
 
 impl Circle {
-    /// The circle with the least Σ w (|p − middle|² − radius²)² (Kåsa, *A circle fitting procedure and its error
+    /// The circle with the least Σ (|p − middle|² − radius²)² (Kåsa, *A circle fitting procedure and its error
     /// analysis*, IEEE Transactions on Instrumentation and Measurement 25(1), 1976); `None` where the origin is not
     /// within it.
-    fn through(points: impl Iterator<Item = (DVec2, f64)>) -> Option<Self> {
+    fn through(points: impl Iterator<Item = DVec2>) -> Option<Self> {
         let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
-        for (p, weight) in points {
+        for p in points {
             let row = DVec3::new(2.0 * p.x, 2.0 * p.y, 1.0);
-            matrix += DMat3::from_cols(row * row.x, row * row.y, row) * weight;
-            right += row * (weight * p.length_squared());
+            matrix += DMat3::from_cols(row * row.x, row * row.y, row);
+            right += row * p.length_squared();
         }
         let solution = matrix.inverse() * right;
         let radius = (solution.z + solution.xy().length_squared()).sqrt();
@@ -236,7 +238,8 @@ impl<'a> Wall<'a> {
             let row = &support[ring * tube.nodes..(ring + 1) * tube.nodes];
             2 * row.iter().filter(|&&n| n > 0).count() >= tube.nodes
         };
-        let seen_mm = [rings.clone().find(seen)?, rings.clone().rfind(seen)?].map(|ring| tube.ring_z_mm(ring));
+        let seen_mm =
+            [rings.clone().find(seen)?, rings.clone().rfind(seen)?].map(|ring| tube.ring_z_mm(ring));
         let least = |ring: usize, j: usize| {
             let about = ring.saturating_sub(1)..=(ring + 1).min(tube.levels);
             let columns = [tube.previous(j), j, tube.next(j)];
@@ -332,7 +335,8 @@ impl<'a> Wall<'a> {
             return None;
         }
         let b = across.dot(offset);
-        let (mut wall, mut length_mm) = (Sums { weight: 1.0, radius_mm: self.radius_mm(), ..Sums::default() }, 0.0);
+        let (mut wall, mut length_mm) =
+            (Sums { weight: 1.0, radius_mm: self.radius_mm(), ..Sums::default() }, 0.0);
         for _ in 0..LOOK_UPS {
             // The ray leaves the round tube of that radius.
             let radius_mm = wall.radius_mm / wall.weight;
