@@ -1,7 +1,7 @@
 //! The whole way from a recording to a vessel.
 
 use crate::fit::{Engine, EngineDescription, FittedCylinder, Job, Track, engine, merged_frames};
-use crate::merge::Stitched;
+use crate::merge::Vessel;
 use crate::output::write_atomically;
 use crate::recording::Recording;
 use crate::settings::{Method, Settings};
@@ -75,7 +75,7 @@ pub struct Reconstruction {
     /// The deformed cylinders of the merged frames.
     pub cylinders: Vec<FittedCylinder>,
     /// The vessel.
-    pub vessel: Stitched,
+    pub vessel: Vessel,
     /// What was done, in numbers.
     pub report: Report,
 }
@@ -165,7 +165,7 @@ impl Reconstruction {
         let fit_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
-        let vessel = Stitched::of(&cylinders);
+        let vessel = Vessel::of(&cylinders, settings.merge);
         let merge_seconds = start.elapsed().as_secs_f64();
 
         let nodes: usize = vessel.rings.iter().map(|r| r.nodes_mm.len()).sum();

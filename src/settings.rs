@@ -19,6 +19,19 @@ pub enum Method {
     Cylinders,
 }
 
+/// How cylinders become one vessel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[non_exhaustive]
+pub enum Merge {
+    /// A new cylinder replaces the rings that it overlaps (published).
+    #[default]
+    Stitch,
+    /// Cylinders that overlap are averaged, by the points behind them.
+    Blend,
+}
+
 /// Where the fit is computed, and in which precision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -137,6 +150,8 @@ pub struct Settings {
     pub statistic: Statistic,
     /// Every how many frames a cylinder is fitted and merged.
     pub every: u32,
+    /// How cylinders become one vessel.
+    pub merge: Merge,
     /// The settings of the method `sweep`.
     pub sweep: Sweep,
     /// `eTi`, the probe in the tracker sensor's frame.
@@ -157,6 +172,7 @@ impl Default for Settings {
             outliers: Outliers::Iqr,
             statistic: Statistic::Mean,
             every: 10,
+            merge: Merge::Stitch,
             sweep: Sweep::default(),
             calibration: Calibration::default(),
         }

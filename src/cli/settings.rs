@@ -1,4 +1,4 @@
-use crate::settings::{Backend, Method, Outliers, Settings, Statistic};
+use crate::settings::{Backend, Merge, Method, Outliers, Settings, Statistic};
 use crate::{Error, Result};
 use std::path::PathBuf;
 
@@ -43,6 +43,9 @@ pub(super) struct SettingsArguments {
     /// Of cylinders: fit and merge one every so many frames [default: 10]
     #[arg(long, value_name = "FRAMES")]
     every: Option<u32>,
+    /// Of cylinders: how they become one vessel [default: stitch]
+    #[arg(long, value_enum)]
+    merge: Option<Merge>,
     /// Of a sweep: nodes a ring [default: one for each ray, as far as echoes suffice]
     #[arg(long, value_name = "N")]
     sweep_nodes: Option<u32>,
@@ -82,6 +85,7 @@ impl SettingsArguments {
         set(&mut settings.outliers, self.outliers);
         set(&mut settings.statistic, self.statistic);
         set(&mut settings.every, self.every);
+        set(&mut settings.merge, self.merge);
         if self.sweep_nodes.is_some() {
             settings.sweep.nodes = self.sweep_nodes;
         }
@@ -107,6 +111,7 @@ impl SettingsArguments {
             ("outliers", self.outliers.is_some()),
             ("statistic", self.statistic.is_some()),
             ("every", self.every.is_some()),
+            ("merge", self.merge.is_some()),
         ];
         let of_sweep = [
             ("sweep.nodes", self.sweep_nodes.is_some()),

@@ -3,7 +3,7 @@
 use crate::Result;
 use crate::evaluate::{Coverage, Evaluation, Locator, Truth, evaluate_covered};
 use crate::fit::{Engine, FittedCylinder};
-use crate::merge::Stitched;
+use crate::merge::Vessel;
 use crate::reconstruction::{PointCounts, Reconstruction};
 use crate::recording::Recording;
 use crate::settings::Settings;
@@ -152,12 +152,12 @@ impl Merged {
         errors_mm: &[Vec<f64>],
         (truth, coverage): (&Truth, &Coverage),
     ) -> Result<(Self, Surface)> {
-        let mut vessel = Stitched::default();
+        let mut vessel = Vessel::default();
         // Of each ring of the vessel: its first node, by which it is known again, and the mean error of its nodes.
         let mut known: Vec<(DVec3, f64)> = Vec::new();
         let mut growth_mean_mm = Vec::with_capacity(cylinders.len());
         for (cylinder, errors) in cylinders.iter().zip(errors_mm) {
-            vessel.append(cylinder, &cylinder.tube.history_mm[iteration]);
+            vessel.stitch(cylinder, &cylinder.tube.history_mm[iteration]);
             let first_new = vessel.rings.len().saturating_sub(cylinder.tube.tube.levels + 1);
             let mut kept = vessel.rings[..first_new].iter().map(|ring| ring.nodes_mm[0]).peekable();
             known.retain(|(node, _)| kept.next_if_eq(node).is_some());

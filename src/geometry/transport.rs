@@ -23,20 +23,33 @@ pub fn rotation_minimising_frames(points: &[DVec3], tangents: &[DVec3]) -> Vec<D
                 }
             }
             Some(previous) => {
-                let chord = point - points[i - 1];
-                let (mut x, mut t) = (previous.x_axis, previous.z_axis);
-                if chord.length_squared() > 0.0 {
-                    x = reflect(x, chord);
-                    t = reflect(t, chord);
-                }
-                let turn = tangent - t;
-                if turn.length_squared() > 1e-24 { reflect(x, turn) } else { x }
+                frames.push(transported(previous, point - points[i - 1], tangent));
+                continue;
             }
         };
-        let x = (x - tangent * x.dot(tangent)).normalize();
-        frames.push(DMat3::from_cols(x, tangent.cross(x), tangent));
+        frames.push(with_axes(x, tangent));
     }
     frames
+}
+
+/// The frame a chord farther, where the tangent is `tangent`: one step of [`rotation_minimising_frames`].
+pub(crate) fn transported(previous: &DMat3, chord: DVec3, tangent: DVec3) -> DMat3 {
+    let (mut x, mut t) = (previous.x_axis, previous.z_axis);
+    if chord.length_squared() > 0.0 {
+        x = reflect(x, chord);
+        t = reflect(t, chord);
+    }
+    let turn = tangent - t;
+    if turn.length_squared() > 1e-24 {
+        x = reflect(x, turn);
+    }
+    with_axes(x, tangent)
+}
+
+/// The frame along `tangent` whose x axis is as near to `x` as it can be.
+fn with_axes(x: DVec3, tangent: DVec3) -> DMat3 {
+    let x = (x - tangent * x.dot(tangent)).normalize();
+    DMat3::from_cols(x, tangent.cross(x), tangent)
 }
 
 fn reflect(v: DVec3, normal: DVec3) -> DVec3 {

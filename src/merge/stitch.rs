@@ -1,45 +1,13 @@
+use super::{Ring, Vessel};
 use crate::fit::FittedCylinder;
-use crate::surface::Surface;
-use crate::tube::face_triangles;
 use glam::DVec3;
 
-/// A ring of a stitched vessel.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Ring {
-    /// The frame whose cylinder it came from.
-    pub frame: usize,
-    /// Its nodes in the world, mm.
-    pub nodes_mm: Vec<DVec3>,
-    /// Per node: points that support it.
-    pub support: Vec<u32>,
-    /// Per node: mean |distance| of those points, mm; NaN without points.
-    pub residual_mm: Vec<f64>,
-}
-
-/// One vessel from successive cylinders, as a stack of rings (thesis, section 3.3; method, section 5).
-///
-/// Cylinders are appended as they become ready; all have the same number of nodes a ring.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Stitched {
-    /// The rings, in the order of the vessel.
-    pub rings: Vec<Ring>,
-}
-
-impl Stitched {
-    /// The vessel of several cylinders, in their order.
-    pub fn of<'a>(cylinders: impl IntoIterator<Item = &'a FittedCylinder>) -> Self {
-        let mut vessel = Self::default();
-        for cylinder in cylinders {
-            vessel.append(cylinder, &cylinder.tube.radii_mm);
-        }
-        vessel
-    }
-
-    /// Appends a cylinder with the given radii (its last ones, or those of another iteration): rings that it
-    /// overlaps are dropped whole, the rest keep their order, and the new rings come behind them, all turned by
-    /// one shift so that their node 0 is the one nearest to node 0 of the last kept ring. The lowest of equally
-    /// near nodes is taken, looked for on the new cylinder's first ring.
-    pub fn append(&mut self, cylinder: &FittedCylinder, radii_mm: &[f64]) {
+impl Vessel {
+    /// Appends a cylinder with the given radii (its last ones, or those of another iteration) as published (thesis,
+    /// section 3.3; method, section 5): rings that it overlaps are dropped whole, the rest keep their order, and the
+    /// new rings come behind them, all turned by one shift so that their node 0 is the one nearest to node 0 of the
+    /// last kept ring. The lowest of equally near nodes is taken, looked for on the new cylinder's first ring.
+    pub fn stitch(&mut self, cylinder: &FittedCylinder, radii_mm: &[f64]) {
         let count = cylinder.tube.tube.nodes;
         let nodes: Vec<DVec3> = cylinder.nodes_mm(radii_mm).collect();
         let cylinder_from_world = cylinder.world_from_cylinder.inverse();
@@ -67,30 +35,5 @@ impl Stitched {
                 residual_mm: (0..count).map(|j| cylinder.tube.residual_mm[per_node(j)]).collect(),
             });
         }
-    }
-
-    /// The vessel as a triangle surface: consecutive rings joined like the faces of a tube, normals outward,
-    /// open at both ends. Arrays: `support` (points), `residual_mm`, `frame`.
-    pub fn surface(&self) -> Surface {
-        let count = self.rings.first().map_or(0, |ring| ring.nodes_mm.len());
-        let node = |ring: usize, j: usize| (ring * count + j % count) as u32;
-        let triangles = (1..self.rings.len())
-            .flat_map(|ring| (0..count).map(move |j| (ring - 1, j)))
-            .flat_map(|(ring, j)| {
-                face_triangles(node(ring, j), node(ring, j + 1), node(ring + 1, j + 1), node(ring + 1, j))
-            })
-            .collect();
-        let mut surface = Surface {
-            nodes_mm: self.rings.iter().flat_map(|r| r.nodes_mm.iter().copied()).collect(),
-            triangles,
-            arrays: Vec::new(),
-        };
-        let array = |value: &dyn Fn(&Ring, usize) -> f64| {
-            self.rings.iter().flat_map(|r| (0..count).map(|j| value(r, j)).collect::<Vec<_>>()).collect()
-        };
-        surface.set_array("support", array(&|r, j| f64::from(r.support[j])));
-        surface.set_array("residual_mm", array(&|r, j| r.residual_mm[j]));
-        surface.set_array("frame", array(&|r, _| r.frame as f64));
-        surface
     }
 }

@@ -5,7 +5,7 @@ use crate::device::{device, say};
 use crate::sections::recording;
 use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::fit::{CpuEngine, Engine, Job, Track, merged_frames};
-use lumenmesh::merge::Stitched;
+use lumenmesh::merge::Vessel;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Outliers, Settings, Statistic};
 use lumenmesh::surface::Surface;
@@ -117,7 +117,7 @@ fn the_fitting_error_is_the_cpu_s() {
         let job = Job::new(&track, &frames, &settings);
         let truth = Truth::new(Surface::read(&truth).unwrap()).unwrap();
         let [found, expected] = [&device.engine as &dyn Engine, &CpuEngine::<f32>::new()].map(|engine| {
-            let vessel = Stitched::of(&engine.fit(&job).unwrap());
+            let vessel = Vessel::of(&engine.fit(&job).unwrap(), settings.merge);
             evaluate(&vessel.surface(), &truth).unwrap().mesh_to_truth.mean_mm
         });
         println!("{name}: fitting error {found:.6} mm on the device, {expected:.6} mm on the CPU");

@@ -4,6 +4,7 @@
 
 mod support;
 
+mod blend;
 #[cfg(feature = "cli")]
 mod coronary;
 mod cylinder_estimate;

@@ -6,10 +6,10 @@ use lumenmesh::evaluate::Truth;
 use lumenmesh::fit::passes::{Face, Gate, Scalar, Section, TubeTransform, distance, project};
 use lumenmesh::fit::{CpuEngine, Engine, FittedCylinder, Job, Track, merged_frames};
 use lumenmesh::geometry::Pose;
-use lumenmesh::merge::Stitched;
+use lumenmesh::merge::Vessel;
 use lumenmesh::reconstruction::{Reconstruction, write_cylinders};
 use lumenmesh::recording::{Frame, Recording};
-use lumenmesh::settings::{Outliers, Settings, Statistic};
+use lumenmesh::settings::{Merge, Outliers, Settings, Statistic};
 use lumenmesh::surface::Surface;
 use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::Triangle;
@@ -274,20 +274,20 @@ fn a_cylinder_can_be_asked_for_while_frames_come_in() {
     let frames = merged_frames(whole.len(), &settings);
     let batch = fit::<f32>(&whole, &frames, &settings);
     let mut track = Track::new(Pose::IDENTITY, Box::new(LocalEstimate::new(Pose::IDENTITY)));
-    let mut vessel = Stitched::default();
+    let mut vessel = Vessel::default();
     for (k, frame) in recording.frames.iter().enumerate() {
         track.push(frame).unwrap();
         if let Ok(at) = frames.binary_search(&k) {
             let now = fit::<f32>(&track, &[k], &settings).remove(0);
             same_cylinder(&now, &batch[at]);
-            vessel.append(&now, &now.tube.radii_mm);
+            vessel.stitch(&now, &now.tube.radii_mm);
         }
     }
     for (at, &k) in frames.iter().enumerate() {
         same_cylinder(&fit::<f32>(&track, &[k], &settings)[0], &batch[at]);
     }
-    let of_all = Stitched::of(&batch);
-    let positions = |vessel: &Stitched| -> Vec<DVec3> {
+    let of_all = Vessel::of(&batch, Merge::Stitch);
+    let positions = |vessel: &Vessel| -> Vec<DVec3> {
         vessel.rings.iter().flat_map(|r| r.nodes_mm.iter().copied()).collect()
     };
     assert_eq!(positions(&vessel), positions(&of_all));
@@ -405,11 +405,11 @@ fn the_published_fitting_errors_come_out() {
         };
         let found = [0, 1, 2, 3].map(error_after);
         let vessel_after = |iteration: usize| {
-            let mut vessel = Stitched::default();
-            cylinders.iter().for_each(|c| vessel.append(c, &c.tube.history_mm[iteration]));
+            let mut vessel = Vessel::default();
+            cylinders.iter().for_each(|c| vessel.stitch(c, &c.tube.history_mm[iteration]));
             vessel
         };
-        let error = |vessel: &Stitched| {
+        let error = |vessel: &Vessel| {
             mean_distance_mm(vessel.rings.iter().flat_map(|r| r.nodes_mm.iter().copied()), &truth)
         };
         let (vessel, primitives) = (vessel_after(3), vessel_after(0));

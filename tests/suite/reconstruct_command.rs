@@ -251,6 +251,7 @@ fn flags_that_the_method_does_not_look_at_are_refused() {
     for (method, flags, expected) in [
         ("sweep", &["--nodes", "24"][..], "setting nodes: found a flag for the method sweep"),
         ("sweep", &["--every", "5"], "setting every: found a flag for the method sweep"),
+        ("sweep", &["--merge", "blend"], "setting merge: found a flag for the method sweep"),
         ("sweep", &["--cylinders", "all.csv"], "setting method: found sweep, expected cylinders"),
         ("cylinders", &["--sweep-nodes", "24"], "setting sweep.nodes: found a flag for the method cylinders"),
         ("cylinders", &["--keep-unsupported"], "expected --method sweep with it"),
