@@ -197,14 +197,6 @@ impl Settings {
     /// # Errors
     /// [`Error::Setting`] with the first one that fails.
     pub fn validate(&self) -> Result<()> {
-        #[cfg(feature = "gpu")]
-        if self.method == Method::Sweep && self.backend == Backend::Gpu {
-            return Err(Error::Setting {
-                name: "backend",
-                found: "gpu".into(),
-                expected: "auto or cpu: the sweep runs on the CPU".into(),
-            });
-        }
         // A triangle's index and a node's index are u32 on the device. The other bounds are far beyond any
         // vessel and keep every product of lengths within f32.
         const MOST_FACES: u64 = 1 << 28;

@@ -88,7 +88,7 @@ impl Arguments {
     #[cfg(feature = "gpu")]
     fn device(&self, output: &mut Output) -> Result<Option<crate::bench::device::Device>> {
         use crate::fit::Engine;
-        use crate::fit::gpu::adapters;
+        use crate::gpu::adapters;
         if self.no_device || (self.adapter.is_none() && adapters().is_empty()) {
             return Ok(None);
         }

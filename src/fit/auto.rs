@@ -41,8 +41,8 @@ impl AutoEngine {
     /// Why the work stays on the CPU.
     #[cfg(feature = "gpu")]
     pub fn choose(
-        adapters: &[super::gpu::AdapterDescription],
-    ) -> Result<&super::gpu::AdapterDescription, String> {
+        adapters: &[crate::gpu::AdapterDescription],
+    ) -> Result<&crate::gpu::AdapterDescription, String> {
         match adapters.first() {
             None => Err("there is no GPU adapter".into()),
             Some(best) if best.is_software() => Err(format!("the best adapter, {}, is software", best.name)),
@@ -105,7 +105,7 @@ impl AutoEngine {
         }
         let start = || {
             if adapter.is_none() {
-                Self::choose(&super::gpu::adapters())?;
+                Self::choose(&crate::gpu::adapters())?;
             }
             super::gpu::GpuEngine::new(adapter).map(std::sync::Arc::new).map_err(|e| e.to_string())
         };

@@ -133,6 +133,16 @@ impl Equations {
         Self { first, rows: vec![[0.0; 5]; rings.len() * grid.nodes] }
     }
 
+    /// Sums over all of a grid, with the right-hand side of values less those that `x` has under the points.
+    #[cfg(feature = "gpu")]
+    pub(super) fn about(grid: &Grid, rows: Vec<[f64; 5]>, x: &[f64]) -> Self {
+        let mut equations = Self { first: 0, rows };
+        let mut of_x = vec![0.0; x.len()];
+        equations.apply(grid, x, &mut of_x);
+        equations.rows.iter_mut().zip(of_x).for_each(|(row, of_x)| row[4] += of_x);
+        equations
+    }
+
     /// Adds a point: `weight · (x(corners) - value)²`.
     pub(super) fn add(&mut self, corners: &Corners, weight: f64, value: f64) {
         let [a, m, c] = corners.nodes.map(|n| n - self.first);

@@ -8,16 +8,20 @@ mod axis;
 mod banded;
 mod centreline;
 mod echo;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 mod grid;
+pub mod passes;
 mod support;
 mod wall;
 
 pub use axis::Axis;
 pub use support::Support;
 
+use crate::fit::EngineDescription;
 use crate::geometry::Pose;
 use crate::recording::{Frame, Recording};
-use crate::settings::Settings;
+use crate::settings::{Backend, Settings};
 use crate::surface::Surface;
 use crate::tube::face_triangles;
 use crate::{Error, Result};
@@ -29,6 +33,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 use std::time::Instant;
+use wall::{OnCpu, Wall};
 
 /// A vessel swept along its centreline.
 ///
@@ -50,6 +55,8 @@ pub struct Sweep {
 /// A sweep in numbers.
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
+    /// What fitted the wall.
+    pub engine: EngineDescription,
     /// Threads that it could use.
     pub threads: usize,
     /// Frames of the recording.
@@ -141,7 +148,7 @@ impl Sweep {
 
         let start = Instant::now();
         let grid = Grid::new(axis.rings(), nodes, axis.step_mm, radius_mm);
-        let mut wall = wall::fit(&grid, &mut echoes, settings.sweep.roughness);
+        let (mut wall, engine) = fit(&grid, &mut echoes, settings)?;
         // Noise along a round wall moves echoes outwards: half its variance times the wall's curvature.
         let tangential_noise_mm = tangential_noise_mm(frames).min(wall.noise_mm);
         for radius in &mut wall.radii_mm {
@@ -160,6 +167,7 @@ impl Sweep {
         };
         let recorded = echo_count(frames);
         let report = Report {
+            engine,
             threads: rayon::current_num_threads(),
             frames: frames.len(),
             echoes: recorded,
@@ -219,6 +227,25 @@ impl Sweep {
         array("frame", &|n| last_frame[n].map_or(f64::NAN, f64::from));
         array("supported", &|n| f64::from(u8::from(supported[n])));
         surface
+    }
+}
+
+/// Fits the wall where the settings say.
+fn fit(grid: &Grid, echoes: &mut [Echo], settings: &Settings) -> Result<(Wall, EngineDescription)> {
+    let (start_mm, roughness) = (wall::start_mm(echoes), settings.sweep.roughness);
+    let on_cpu = |echoes: &mut [Echo], why| {
+        let wall = wall::fit(OnCpu::new(grid, echoes, start_mm), grid, start_mm, roughness)?;
+        Ok((wall, EngineDescription { name: "cpu".into(), adapter: None, why }))
+    };
+    match settings.backend {
+        Backend::Cpu | Backend::Reference => on_cpu(echoes, None),
+        Backend::Auto => on_cpu(echoes, None),
+        #[cfg(feature = "gpu")]
+        Backend::Gpu => {
+            let engine = gpu::SweepEngine::new(settings.adapter.as_deref())?;
+            let wall = wall::fit(engine.wall(grid, echoes, start_mm)?, grid, start_mm, roughness)?;
+            Ok((wall, engine.describe()))
+        }
     }
 }
 

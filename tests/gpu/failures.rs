@@ -3,8 +3,9 @@
 use crate::device::{device, open};
 use crate::sections::{RADIUS_MM, recording, wall};
 use lumenmesh::Error;
-use lumenmesh::fit::gpu::{GpuEngine, GpuError};
+use lumenmesh::fit::gpu::GpuEngine;
 use lumenmesh::fit::{AutoEngine, CpuEngine, Engine, Job, Track};
+use lumenmesh::gpu::GpuError;
 use lumenmesh::settings::Settings;
 use std::sync::mpsc;
 use std::time::Duration;
@@ -90,7 +91,7 @@ fn an_unknown_adapter_is_answered_with_those_that_are_there() {
     let failed = GpuEngine::new(Some("no such adapter")).err().expect("an adapter of that name");
     let message = failed.to_string();
     assert!(message.contains("\"no such adapter\""), "{message}");
-    for adapter in lumenmesh::fit::gpu::adapters() {
+    for adapter in lumenmesh::gpu::adapters() {
         assert!(message.contains(&adapter.name), "{message}");
     }
 }

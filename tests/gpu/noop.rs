@@ -1,6 +1,7 @@
 //! Every pipeline is one that WebGPU's default limits allow: a device that computes nothing but checks all.
 
-use lumenmesh::fit::gpu::{GpuEngine, Requirements};
+use lumenmesh::fit::gpu::GpuEngine;
+use lumenmesh::gpu::Requirements;
 
 #[test]
 fn every_pipeline_is_valid_within_the_default_limits() {

@@ -297,10 +297,4 @@ fn what_only_cylinders_can_do_is_refused() {
     let refused =
         lumenmesh::reconstruction::Reconstruction::new(&recording, &sweep, &*engine, false, &|_| ());
     assert!(refused.unwrap_err().to_string().starts_with("setting method: found sweep"));
-    #[cfg(feature = "gpu")]
-    {
-        let on_device = Settings { backend: lumenmesh::settings::Backend::Gpu, ..sweep };
-        let refused = Sweep::of(&recording, &on_device).unwrap_err().to_string();
-        assert!(refused.starts_with("setting backend: found gpu"), "{refused}");
-    }
 }

@@ -67,3 +67,19 @@ pub enum GpuError {
         reason: String,
     },
 }
+
+impl GpuError {
+    /// The error of a call for a job that takes so many bytes of the device's memory.
+    pub(crate) fn of_a_job(self, bytes: u64) -> Self {
+        match self {
+            Self::OutOfMemory { reason, .. } => Self::OutOfMemory { needed: bytes, reason },
+            other => other,
+        }
+    }
+}
+
+impl From<GpuError> for crate::Error {
+    fn from(error: GpuError) -> Self {
+        crate::Error::Gpu(error)
+    }
+}

@@ -1,0 +1,241 @@
+//! The wall's fit on the device: passes over echoes and nodes, whose twins are in [`passes`](super::passes).
+
+mod pass;
+mod workspace;
+
+pub use pass::{Items, PASSES, Pass};
+pub use workspace::Workspace;
+
+use super::echo;
+use super::grid::{Equations, Grid, Solver};
+use super::passes::{Echo, Job, State};
+use super::wall::{Drawn, Round, WallEngine};
+use crate::Result;
+use crate::fit::EngineDescription;
+use crate::gpu::{AdapterDescription, Context, GpuError, Pipeline, checked};
+
+/// A pass made ready on a device.
+struct ReadyPass {
+    pass: &'static Pass,
+    pipeline: Pipeline,
+}
+
+/// Fits walls on a device.
+pub struct SweepEngine {
+    context: Context,
+    passes: Vec<ReadyPass>,
+}
+
+impl SweepEngine {
+    /// The engine on the adapter whose name contains `adapter` (without regard to case), or on the best one.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) where there is no such adapter or it refuses a shader.
+    pub fn new(adapter: Option<&str>) -> Result<Self> {
+        Self::on(Context::new(adapter)?)
+    }
+
+    /// The engine on a host's device, which must meet [`Requirements`](crate::gpu::Requirements). No handler of the
+    /// host's is replaced.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses a shader.
+    pub fn on_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
+        Self::on(Context::of_host(device, queue))
+    }
+
+    fn on(context: Context) -> Result<Self> {
+        let passes = PASSES
+            .iter()
+            .map(|pass| Ok(ReadyPass { pass, pipeline: Pipeline::new(&context.device, &pass.shader)? }))
+            .collect::<Result<Vec<_>, GpuError>>()?;
+        Ok(Self { context, passes })
+    }
+
+    /// The adapter, where the engine chose it.
+    pub fn adapter(&self) -> Option<&AdapterDescription> {
+        self.context.adapter.as_ref()
+    }
+
+    /// The device.
+    pub fn device(&self) -> &wgpu::Device {
+        &self.context.device
+    }
+
+    /// What it is, for a report.
+    pub fn describe(&self) -> EngineDescription {
+        let adapter = self.adapter().map(|a| format!("{} ({}, {})", a.name, a.backend, a.driver));
+        EngineDescription { name: "gpu".into(), adapter, why: None }
+    }
+
+    /// Builds every pipeline now rather than when it is first needed.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses one.
+    pub fn warm_up(&self) -> Result<()> {
+        Ok(self.passes.iter().try_for_each(|ready| ready.pipeline.warm_up(&self.context.device))?)
+    }
+
+    /// Device memory for a wall and the echoes about it.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) where they do not fit the device.
+    pub fn prepare(&self, job: &Job, echoes: &[Echo]) -> Result<Workspace> {
+        Ok(Workspace::new(&self.context, &self.passes, job, echoes)?)
+    }
+
+    /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back: how a pass is
+    /// compared with its twin on identical inputs. Buffers that every chunk has are the first chunk's.
+    ///
+    /// Outputs that are not among the inputs are filled with ones before, so that what a pass leaves out shows.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) where there is no such pass or buffer, or the device fails.
+    pub fn run_pass(
+        &self,
+        workspace: &Workspace,
+        pass: &str,
+        inputs: &[(&str, &[u8])],
+        outputs: &[&str],
+    ) -> Result<Vec<Vec<u8>>> {
+        let find = |name: &str| {
+            workspace
+                .find(name)
+                .ok_or_else(|| GpuError::Refused { what: name.into(), reason: "no such buffer".into() })
+        };
+        let outputs = outputs.iter().map(|name| find(name)).collect::<Result<Vec<_>, _>>()?;
+        let write = |buffer: &wgpu::Buffer, bytes: &[u8]| {
+            checked(&self.context.device, "input", || self.context.write(buffer, bytes))
+        };
+        for buffer in &outputs {
+            write(buffer, &vec![0xff; buffer.size() as usize])?;
+        }
+        for (name, bytes) in inputs {
+            write(find(name)?, bytes)?;
+        }
+        Ok(self.run(workspace, &[pass], &outputs, |_| ())?)
+    }
+
+    /// Runs some passes, one after the other, behind what `prepare` records, and reads buffers back.
+    fn run(
+        &self,
+        workspace: &Workspace,
+        passes: &[&str],
+        buffers: &[&wgpu::Buffer],
+        prepare: impl FnOnce(&mut wgpu::CommandEncoder),
+    ) -> Result<Vec<Vec<u8>>, GpuError> {
+        self.context.run(workspace.bytes(), buffers, |encoder| {
+            prepare(encoder);
+            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some("lumenmesh sweep"),
+                timestamp_writes: None,
+            });
+            for name in passes {
+                let ready = workspace::row(name).and_then(|row| self.passes.get(row));
+                let ready = ready.ok_or_else(|| GpuError::Refused {
+                    what: (*name).into(),
+                    reason: "no such pass".into(),
+                })?;
+                workspace.dispatch(&self.context, ready, &mut compute)?;
+            }
+            Ok(())
+        })
+    }
+
+    /// A wall and echoes on the device.
+    pub(super) fn wall<'a>(
+        &'a self,
+        grid: &'a Grid,
+        echoes: &'a mut [echo::Echo],
+        start_mm: f64,
+    ) -> Result<OnDevice<'a>> {
+        let too_large = |name: &str, found: usize| GpuError::TooLarge {
+            name: name.into(),
+            needed: found as u64,
+            allowed: u64::from(u32::MAX),
+        };
+        let rings = u32::try_from(grid.rings).map_err(|_| too_large("rings", grid.rings))?;
+        let nodes = u32::try_from(grid.nodes).map_err(|_| too_large("nodes", grid.nodes))?;
+        let job = Job::new(rings, nodes, start_mm);
+        let of_device: Vec<Echo> = echoes.iter().map(|echo| echo.for_device(grid, start_mm)).collect();
+        let workspace = self.prepare(&job, &of_device)?;
+        Ok(OnDevice {
+            engine: self,
+            workspace,
+            grid,
+            echoes,
+            start_mm,
+            solver: Solver::new(*grid),
+            radii_mm: vec![start_mm; grid.node_count()],
+        })
+    }
+}
+
+/// The fit on a device.
+pub(super) struct OnDevice<'a> {
+    engine: &'a SweepEngine,
+    workspace: Workspace,
+    grid: &'a Grid,
+    echoes: &'a mut [echo::Echo],
+    start_mm: f64,
+    solver: Solver,
+    radii_mm: Vec<f64>,
+}
+
+impl WallEngine for OnDevice<'_> {
+    fn measure(&mut self, noise_mm: f64, feet: bool) -> Result<f64> {
+        let context = &self.engine.context;
+        let job = Job { feet: u32::from(feet), ..self.workspace.job().with_noise(noise_mm) };
+        self.workspace.set_job(context, &job);
+        let state = State { rest: (self.echoes.len() / 2) as u32, ..State::default() };
+        let of_device = self.workspace.shared("state");
+        context.write(of_device, bytemuck::bytes_of(&state));
+        let digit = ["count_misses", "pick_digit"];
+        let passes = [&["measure"][..], &digit, &digit, &digit, &digit].concat();
+        let read = self.engine.run(&self.workspace, &passes, &[of_device], |_| ())?;
+        let state: State = bytemuck::pod_read_unaligned(&read[0]);
+        Ok(f64::from(f32::from_bits(state.prefix)))
+    }
+
+    fn draw(&mut self, round: &Round) -> Result<Drawn> {
+        let context = &self.engine.context;
+        let job = Job { gated: u32::from(!round.rough), ..self.workspace.job().with_noise(round.noise_mm) };
+        self.workspace.set_job(context, &job);
+        let sums = ["sums_low", "sums_high"].map(|name| self.workspace.shared(name));
+        let read = self.engine.run(&self.workspace, &["accumulate"], &sums, |encoder| {
+            sums.iter().for_each(|sums| encoder.clear_buffer(sums, 0, None));
+        })?;
+        let words = |k: usize| bytemuck::pod_collect_to_vec::<u8, u32>(&read[k]);
+        let (low, high) = (words(0), words(1));
+        let sum = |i: usize| (i64::from(high[i] as i32) << 32 | i64::from(low[i])) as f64;
+        let rows = (0..self.grid.node_count()).map(|node| {
+            let weight = |part: usize| sum(5 * node + part) / f64::from(job.weight_scale);
+            let way = sum(5 * node + 4) / f64::from(job.way_scale) * round.noise_mm;
+            [weight(0), weight(1), weight(2), weight(3), way]
+        });
+        let equations = Equations::about(self.grid, rows.collect(), &self.radii_mm);
+        let before = self.radii_mm.clone();
+        let solver_steps =
+            self.solver.solve(&equations, round.smoothness_mm2, round.tolerance, &mut self.radii_mm);
+        let wall: Vec<f32> = self.radii_mm.iter().map(|r| (r - self.start_mm) as f32).collect();
+        context.write(self.workspace.shared("wall"), bytemuck::cast_slice(&wall));
+        let travel = before.iter().zip(&self.radii_mm).map(|(a, b)| (a - b).abs()).sum::<f64>();
+        Ok(Drawn { travel_mm: travel / before.len() as f64, solver_steps })
+    }
+
+    fn finish(self) -> Result<Vec<f64>> {
+        let (shifts, misses) = (self.workspace.of_chunks("shifts"), self.workspace.of_chunks("misses"));
+        let chunks = self.workspace.chunk_count();
+        let read = self.engine.run(&self.workspace, &[], &[shifts, misses].concat(), |_| ())?;
+        let (shifts, misses) = read.split_at(chunks);
+        let mut echoes = self.echoes.iter_mut();
+        for ((shifts, misses), count) in shifts.iter().zip(misses).zip(self.workspace.echo_counts()) {
+            let shifts: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(shifts);
+            let misses: Vec<f32> = bytemuck::pod_collect_to_vec(misses);
+            for ((echo, shift), miss) in echoes.by_ref().take(count).zip(shifts).zip(misses) {
+                echo.set_way(shift.map(f64::from), f64::from(miss));
+            }
+        }
+        Ok(self.radii_mm)
+    }
+}
