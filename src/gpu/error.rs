@@ -60,6 +60,14 @@ pub enum GpuError {
         /// Faces that should have been.
         expected: u32,
     },
+    /// The device computed something that cannot be: a defect of this program or of the driver.
+    #[error("the device computed {found} for the {what}; use the CPU for these")]
+    Wrong {
+        /// What it computed.
+        what: &'static str,
+        /// The value.
+        found: String,
+    },
     /// The device is gone.
     #[error("the device was lost: {reason}")]
     Lost {

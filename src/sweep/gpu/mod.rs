@@ -6,13 +6,20 @@ mod workspace;
 pub use pass::{Items, PASSES, Pass};
 pub use workspace::Workspace;
 
+use super::banded::Dissected;
 use super::echo;
-use super::grid::{Equations, Grid, Solver};
-use super::passes::{Echo, Job, State};
+use super::grid::{Grid, MOST_STEPS};
+use super::passes::{Echo, Factors, Job, State};
 use super::wall::{Drawn, Round, WallEngine};
 use crate::Result;
 use crate::fit::EngineDescription;
 use crate::gpu::{AdapterDescription, Context, GpuError, Pipeline, checked};
+use pass::STEP;
+use rayon::prelude::*;
+
+/// Steps of conjugate gradients between two looks at whether they are near enough. Steps that come too late find that
+/// out by themselves and do nothing.
+const STEPS_A_SUBMISSION: usize = 10;
 
 /// A pass made ready on a device.
 struct ReadyPass {
@@ -159,15 +166,7 @@ impl SweepEngine {
         let job = Job::new(rings, nodes, start_mm);
         let of_device: Vec<Echo> = echoes.iter().map(|echo| echo.for_device(grid, start_mm)).collect();
         let workspace = self.prepare(&job, &of_device)?;
-        Ok(OnDevice {
-            engine: self,
-            workspace,
-            grid,
-            echoes,
-            start_mm,
-            solver: Solver::new(*grid),
-            radii_mm: vec![start_mm; grid.node_count()],
-        })
+        Ok(OnDevice { engine: self, workspace, grid, echoes, start_mm })
     }
 }
 
@@ -178,8 +177,6 @@ pub(super) struct OnDevice<'a> {
     grid: &'a Grid,
     echoes: &'a mut [echo::Echo],
     start_mm: f64,
-    solver: Solver,
-    radii_mm: Vec<f64>,
 }
 
 impl WallEngine for OnDevice<'_> {
@@ -194,40 +191,62 @@ impl WallEngine for OnDevice<'_> {
         let passes = [&["measure"][..], &digit, &digit, &digit, &digit].concat();
         let read = self.engine.run(&self.workspace, &passes, &[of_device], |_| ())?;
         let state: State = bytemuck::pod_read_unaligned(&read[0]);
-        Ok(f64::from(f32::from_bits(state.prefix)))
+        let miss_mm = f32::from_bits(state.prefix);
+        if state.round != 4 || !miss_mm.is_finite() {
+            return Err(GpuError::Wrong { what: "median miss", found: format!("{miss_mm} mm") }.into());
+        }
+        Ok(f64::from(miss_mm))
     }
 
     fn draw(&mut self, round: &Round) -> Result<Drawn> {
-        let context = &self.engine.context;
-        let job = Job { gated: u32::from(!round.rough), ..self.workspace.job().with_noise(round.noise_mm) };
+        let (engine, context, grid) = (self.engine, &self.engine.context, self.grid);
+        let job = Job { gated: u32::from(!round.rough), ..*self.workspace.job() }
+            .with_noise(round.noise_mm)
+            .with_smoothness(round.smoothness_mm2, grid.step_mm, grid.arc_mm);
         self.workspace.set_job(context, &job);
         let sums = ["sums_low", "sums_high"].map(|name| self.workspace.shared(name));
-        let read = self.engine.run(&self.workspace, &["accumulate"], &sums, |encoder| {
+        let ring_weights = self.workspace.shared("ring_weights");
+        let passes = ["accumulate", "assemble", "weigh_rings"];
+        let read = engine.run(&self.workspace, &passes, &[ring_weights], |encoder| {
             sums.iter().for_each(|sums| encoder.clear_buffer(sums, 0, None));
         })?;
-        let words = |k: usize| bytemuck::pod_collect_to_vec::<u8, u32>(&read[k]);
-        let (low, high) = (words(0), words(1));
-        let sum = |i: usize| (i64::from(high[i] as i32) << 32 | i64::from(low[i])) as f64;
-        let rows = (0..self.grid.node_count()).map(|node| {
-            let weight = |part: usize| sum(5 * node + part) / f64::from(job.weight_scale);
-            let way = sum(5 * node + 4) / f64::from(job.way_scale) * round.noise_mm;
-            [weight(0), weight(1), weight(2), weight(3), way]
-        });
-        let equations = Equations::about(self.grid, rows.collect(), &self.radii_mm);
-        let before = self.radii_mm.clone();
-        let solver_steps =
-            self.solver.solve(&equations, round.smoothness_mm2, round.tolerance, &mut self.radii_mm);
-        let wall: Vec<f32> = self.radii_mm.iter().map(|r| (r - self.start_mm) as f32).collect();
-        context.write(self.workspace.shared("wall"), bytemuck::cast_slice(&wall));
-        let travel = before.iter().zip(&self.radii_mm).map(|(a, b)| (a - b).abs()).sum::<f64>();
-        Ok(Drawn { travel_mm: travel / before.len() as f64, solver_steps })
+        let ring_weights: Vec<f64> = bytemuck::pod_collect_to_vec::<u8, f32>(&read[0])
+            .into_iter()
+            .take(grid.rings)
+            .map(f64::from)
+            .collect();
+
+        // In f64 and on the CPU, where nearly singular systems keep their sign: where no echo lies, only the wall's
+        // bending holds a ring.
+        let weight: f64 = ring_weights.iter().sum();
+        let factors = factors(grid, &job, ring_weights, round.smoothness_mm2);
+        let factors =
+            factors.ok_or(GpuError::Wrong { what: "weights of the rings", found: weight.to_string() })?;
+        context.write(self.workspace.shared("factors"), bytemuck::cast_slice(&factors.rings));
+        context.write(self.workspace.shared("joints"), bytemuck::cast_slice(&factors.joints));
+        // The CPU compares with the residual of a wall of no radius, which is about that of the weights times its square.
+        let tolerance = round.tolerance * self.start_mm / round.noise_mm;
+        self.workspace.set_job(context, &Job { enough: (tolerance * tolerance * weight) as f32, ..job });
+        let solver_steps = self.solve()?;
+
+        let read =
+            engine.run(&self.workspace, &["move_wall"], &[self.workspace.shared("partials")], |_| ())?;
+        let partials = bytemuck::pod_collect_to_vec::<u8, f32>(&read[0]);
+        let count = grid.node_count();
+        let travel: f64 = partials.into_iter().take(count.div_ceil(256)).map(f64::from).sum();
+        let travel_mm = travel / count as f64;
+        if !travel_mm.is_finite() {
+            return Err(GpuError::Wrong { what: "travel of the nodes", found: travel_mm.to_string() }.into());
+        }
+        Ok(Drawn { travel_mm, solver_steps })
     }
 
     fn finish(self) -> Result<Vec<f64>> {
         let (shifts, misses) = (self.workspace.of_chunks("shifts"), self.workspace.of_chunks("misses"));
         let chunks = self.workspace.chunk_count();
-        let read = self.engine.run(&self.workspace, &[], &[shifts, misses].concat(), |_| ())?;
-        let (shifts, misses) = read.split_at(chunks);
+        let wall = [self.workspace.shared("wall")];
+        let read = self.engine.run(&self.workspace, &[], &[&wall[..], &shifts, &misses].concat(), |_| ())?;
+        let (shifts, misses) = read[1..].split_at(chunks);
         let mut echoes = self.echoes.iter_mut();
         for ((shifts, misses), count) in shifts.iter().zip(misses).zip(self.workspace.echo_counts()) {
             let shifts: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(shifts);
@@ -236,6 +255,47 @@ impl WallEngine for OnDevice<'_> {
                 echo.set_way(shift.map(f64::from), f64::from(miss));
             }
         }
-        Ok(self.radii_mm)
+        let wall: Vec<f32> = bytemuck::pod_collect_to_vec(&read[0]);
+        let radii = wall.into_iter().take(self.grid.node_count());
+        Ok(radii.map(|rise| self.start_mm + f64::from(rise)).collect())
     }
+}
+
+impl OnDevice<'_> {
+    /// Conjugate gradients, until the device says that it is near enough; returns the number of steps.
+    fn solve(&self) -> Result<usize> {
+        let state = self.workspace.shared("state");
+        self.engine.context.write(state, bytemuck::bytes_of(&State::default()));
+        let steps = STEP.repeat(STEPS_A_SUBMISSION);
+        for _ in 0..MOST_STEPS.div_ceil(STEPS_A_SUBMISSION) {
+            let read = self.engine.run(&self.workspace, &steps, &[state], |_| ())?;
+            let state: State = bytemuck::pod_read_unaligned(&read[0]);
+            if state.done != 0 || state.steps as usize >= MOST_STEPS {
+                return Ok(state.steps as usize);
+            }
+        }
+        Ok(MOST_STEPS)
+    }
+}
+
+/// The preconditioner's systems, factored; `None` where the weights are no numbers.
+fn factors(grid: &Grid, job: &Job, ring_weights: Vec<f64>, smoothness_mm2: f64) -> Option<Factors> {
+    let weights = grid.even_weights(ring_weights);
+    let (rings, frequencies) = (grid.rings, grid.nodes / 2 + 1);
+    let systems: Vec<Dissected> = (0..frequencies)
+        .into_par_iter()
+        .map(|frequency| {
+            let system = grid.system(frequency, &weights, smoothness_mm2);
+            system.dissected(job.blocks as usize, job.block_rings as usize)
+        })
+        .collect::<Option<_>>()?;
+    let mut factors = Factors::zeroed(job);
+    factors.rings.par_chunks_mut(frequencies).enumerate().for_each(|(k, plane)| {
+        let (part, ring) = (k / rings, k % rings);
+        plane.iter_mut().zip(&systems).for_each(|(factor, system)| *factor = system.rows[ring][part] as f32);
+    });
+    for (joint, row) in factors.joints.chunks_mut(frequencies).enumerate() {
+        row.iter_mut().zip(&systems).for_each(|(factors, s)| *factors = s.joints[joint].map(|x| x as f32));
+    }
+    Some(factors)
 }

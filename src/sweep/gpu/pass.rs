@@ -11,6 +11,16 @@ pub enum Items {
     EchoBlocks,
     /// One workgroup.
     One,
+    /// An invocation a node.
+    Nodes,
+    /// A workgroup a ring.
+    Rings,
+    /// A workgroup for every 64 nodes of eight rings.
+    Tiles,
+    /// An invocation a wave of a block of rings.
+    BlockWaves,
+    /// An invocation a wave.
+    Waves,
 }
 
 /// A row of the pass table.
@@ -24,6 +34,11 @@ pub struct Pass {
 
 const JOB: &str = include_str!("../../../shaders/sweep/common/job.wgsl");
 const ECHO: &str = include_str!("../../../shaders/sweep/common/echo.wgsl");
+const BENDING: &str = include_str!("../../../shaders/sweep/common/bending.wgsl");
+const BLOCKS: &str = include_str!("../../../shaders/sweep/common/blocks.wgsl");
+const PARTIALS: &str = include_str!("../../../shaders/sweep/common/partials.wgsl");
+const SUM: &str = include_str!("../../../shaders/sweep/common/sum.wgsl");
+const TRANSFORM: &str = include_str!("../../../shaders/sweep/common/transform.wgsl");
 const EXACT: &str = include_str!("../../../shaders/common/exact.wgsl");
 
 macro_rules! pass {
@@ -44,12 +59,56 @@ macro_rules! pass {
     };
 }
 
-/// Every pass.
-pub static PASSES: [Pass; 4] = [
+/// Every pass, in the order in which they run: `count_misses` and `pick_digit` four times, those from `transform` to
+/// `advance` once for each step of conjugate gradients.
+pub static PASSES: [Pass; 17] = [
     pass!("measure", Echoes, 256, [ECHO], ["echoes": Read, "wall": Read, "shifts": Write, "misses": Write]),
     pass!("count_misses", EchoBlocks, 256, [], ["misses": Read, "state": Read, "counts": Write]),
     pass!("pick_digit", One, 256, [], ["counts": Write, "state": Write]),
     pass!("accumulate", Echoes, 256, [ECHO, EXACT], [
         "echoes": Read, "wall": Read, "shifts": Read, "sums_low": Write, "sums_high": Write,
     ]),
+    pass!("assemble", Nodes, 256, [BENDING, EXACT], [
+        "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Write, "residual": Write, "change": Write,
+        "direction": Write,
+    ]),
+    pass!("weigh_rings", Rings, 256, [SUM], ["rows": Read, "ring_weights": Write]),
+    pass!("transform", Tiles, 64, [TRANSFORM], [
+        "state": Read, "waves": Read, "residual": Read, "spectrum": Write,
+    ]),
+    pass!("eliminate", BlockWaves, 64, [BLOCKS], [
+        "state": Read, "factors": Read, "spectrum": Write, "pulls": Write,
+    ]),
+    pass!("couple", Waves, 64, [BLOCKS], [
+        "state": Read, "joints": Read, "pulls": Read, "spectrum": Write,
+    ]),
+    pass!("substitute", BlockWaves, 64, [BLOCKS], ["state": Read, "factors": Read, "spectrum": Write]),
+    pass!("transform_back", Tiles, 64, [SUM, TRANSFORM], [
+        "state": Read, "waves": Read, "spectrum": Read, "residual": Read, "preconditioned": Write,
+        "partials": Write,
+    ]),
+    pass!("turn", One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
+    pass!("redirect", Nodes, 256, [], ["state": Read, "preconditioned": Read, "direction": Write]),
+    pass!("apply", Nodes, 256, [BENDING, SUM], [
+        "state": Read, "rows": Read, "direction": Read, "product": Write, "partials": Write,
+    ]),
+    pass!("stride", One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
+    pass!("advance", Nodes, 256, [], [
+        "state": Read, "direction": Read, "product": Read, "change": Write, "residual": Write,
+    ]),
+    pass!("move_wall", Nodes, 256, [SUM], ["change": Read, "wall": Write, "partials": Write]),
+];
+
+/// The passes of a step of conjugate gradients.
+pub(super) const STEP: [&str; 10] = [
+    "transform",
+    "eliminate",
+    "couple",
+    "substitute",
+    "transform_back",
+    "turn",
+    "redirect",
+    "apply",
+    "stride",
+    "advance",
 ];

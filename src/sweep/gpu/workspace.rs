@@ -3,7 +3,7 @@
 use super::pass::{Items, Pass};
 use super::{PASSES, ReadyPass};
 use crate::gpu::{Buffers, Context, GpuError};
-use crate::sweep::passes::{Echo, Job, State};
+use crate::sweep::passes::{Echo, Job, State, waves};
 use std::collections::BTreeMap;
 
 /// The device memory of a wall and the echoes about it.
@@ -27,14 +27,34 @@ const ECHO_BYTES: u64 = size_of::<Echo>() as u64;
 
 /// Name and size in bytes of the buffers that belong to no chunk.
 fn sizes(job: &Job) -> Vec<(&'static str, u64)> {
-    let nodes = u64::from(job.node_count);
+    let [nodes, rings, around, blocks] = [job.node_count, job.rings, job.nodes, job.blocks].map(u64::from);
+    let frequencies = around / 2 + 1;
     vec![
         ("state", size_of::<State>() as u64),
         ("counts", 4 * 256),
         ("wall", 4 * nodes),
         ("sums_low", 20 * nodes),
         ("sums_high", 20 * nodes),
+        ("rows", 16 * nodes),
+        ("ring_weights", 4 * rings),
+        ("waves", 4 * around),
+        ("factors", 20 * rings * frequencies),
+        ("joints", 32 * (blocks - 1) * frequencies),
+        ("pulls", 16 * blocks * around),
+        ("residual", 4 * nodes),
+        ("spectrum", 4 * nodes),
+        ("preconditioned", 4 * nodes),
+        ("direction", 4 * nodes),
+        ("product", 4 * nodes),
+        ("change", 4 * nodes),
+        // What `apply` and `move_wall` sum up, and what `transform_back` does.
+        ("partials", 4 * nodes.div_ceil(256).max(u64::from(tiles(job)))),
     ]
+}
+
+/// Workgroups of the transforms.
+fn tiles(job: &Job) -> u32 {
+    job.nodes.div_ceil(64) * job.rings.div_ceil(8)
 }
 
 impl Workspace {
@@ -75,6 +95,7 @@ impl Workspace {
             _ => echoes.chunks(most_echoes).map(chunk).collect::<Result<_, GpuError>>()?,
         };
         let mut workspace = Self { job: *job, buffers, chunks };
+        context.write(workspace.shared("waves"), bytemuck::cast_slice(&waves(job.nodes)));
         workspace.set_job(context, job);
         Ok(workspace)
     }
@@ -133,10 +154,16 @@ impl Workspace {
         let Pass { shader, items } = ready.pass;
         compute.set_pipeline(ready.pipeline.get(&context.device, 0)?);
         for chunk in &self.chunks {
-            let (count, once) = match items {
-                Items::Echoes => (chunk.echoes.div_ceil(shader.workgroup_size), false),
-                Items::EchoBlocks => (chunk.echoes.div_ceil(4096), false),
-                Items::One => (1, true),
+            let (job, size) = (&self.job, shader.workgroup_size);
+            let count = match items {
+                Items::Echoes => chunk.echoes.div_ceil(size),
+                Items::EchoBlocks => chunk.echoes.div_ceil(4096),
+                Items::One => 1,
+                Items::Nodes => job.node_count.div_ceil(size),
+                Items::Rings => job.rings,
+                Items::Tiles => tiles(job),
+                Items::BlockWaves => (job.blocks * job.nodes).div_ceil(size),
+                Items::Waves => job.nodes.div_ceil(size),
             };
             // A dimension holds 65,535 at most.
             let rows = count.div_ceil(65_535).max(1);
@@ -144,7 +171,7 @@ impl Workspace {
                 compute.set_bind_group(0, &chunk.bind_groups[shader.name], &[]);
                 compute.dispatch_workgroups(count.div_ceil(rows), rows, 1);
             }
-            if once {
+            if !matches!(items, Items::Echoes | Items::EchoBlocks) {
                 break;
             }
         }

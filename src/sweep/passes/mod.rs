@@ -5,10 +5,22 @@
 //! rounds as they do. Lengths are mm; the wall's radii are measured from the job's `start`, so that f32 keeps their
 //! digits, and all that the solver sees is in units of the noise.
 
+mod bending;
+mod blocks;
 mod echo;
+mod equations;
+mod gradients;
 mod job;
 mod noise;
+mod sum;
+mod transform;
 
+pub use bending::bending;
+pub use blocks::{Factors, couple, eliminate, substitute};
 pub use echo::{FARTHEST_CELL, Sums, Way, accumulate, measure, way_to_wall};
+pub use equations::{apply, assemble, weigh_rings};
+pub use gradients::{advance, move_wall, redirect, stride, turn};
 pub use job::{Echo, Job, State};
 pub use noise::{count_misses, pick_digit};
+pub use sum::{sum_of_partials, sum_of_workgroup};
+pub use transform::{transform, transform_back, waves};
