@@ -184,6 +184,12 @@ impl Equations {
         }
     }
 
+    /// The sums of every node.
+    #[cfg(all(test, feature = "gpu"))]
+    pub(super) fn rows(&self) -> &[[f64; 5]] {
+        &self.rows
+    }
+
     /// `out = (points' couplings)·x`.
     fn apply(&self, grid: &Grid, x: &[f64], out: &mut [f64]) {
         out.fill(0.0);
@@ -289,10 +295,20 @@ impl Solver {
 
     /// One system for each frequency about the axis.
     fn preconditioner(&self, equations: &Equations, smoothness: f64) -> Vec<Factored> {
-        let weights = self.grid.even_weights(equations.ring_weights(&self.grid));
+        self.even_preconditioner(equations.ring_weights(&self.grid), smoothness)
+    }
+
+    fn even_preconditioner(&self, ring_weights: Vec<f64>, smoothness: f64) -> Vec<Factored> {
+        let weights = self.grid.even_weights(ring_weights);
         (0..=self.grid.nodes / 2)
             .filter_map(|frequency| self.grid.system(frequency, &weights, smoothness).factored())
             .collect()
+    }
+
+    /// The preconditioner of rings of these weights, applied to `x`.
+    #[cfg(all(test, feature = "gpu"))]
+    pub(super) fn precondition_evenly(&self, ring_weights: Vec<f64>, smoothness: f64, x: &mut [f64]) {
+        self.precondition(&self.even_preconditioner(ring_weights, smoothness), x);
     }
 
     fn precondition(&self, systems: &[Factored], x: &mut [f64]) {

@@ -299,3 +299,48 @@ fn factors(grid: &Grid, job: &Job, ring_weights: Vec<f64>, smoothness_mm2: f64) 
     }
     Some(factors)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sweep::grid::Solver;
+    use crate::sweep::passes::{couple, eliminate, substitute, transform, transform_back, waves};
+
+    /// Uneven weights, and rings before, amid and behind them without any.
+    fn ring_weights(rings: usize) -> Vec<f64> {
+        let empty =
+            |ring: usize| ring < 20 || (rings / 2..rings / 2 + 9).contains(&ring) || ring + 25 > rings;
+        (0..rings).map(|ring| if empty(ring) { 0.0 } else { 300.0 + 100.0 * (ring as f64).sin() }).collect()
+    }
+
+    #[test]
+    fn systems_in_blocks_have_the_solutions_of_whole_ones() {
+        for (rings, nodes, smoothness) in [(9, 8, 1.0), (100, 9, 1e-3), (300, 24, 60.0), (301, 24, 60.0)] {
+            let grid = Grid::new(rings, nodes, 1.1, 4.0);
+            let job = Job::new(rings as u32, nodes as u32, 4.0);
+            let factors = factors(&grid, &job, ring_weights(rings), smoothness).unwrap();
+            let waves = waves(nodes as u32);
+            let values: Vec<f32> =
+                (0..grid.node_count()).map(|i| (0.37 * (i * i % 977) as f32).sin()).collect();
+            let mut spectrum = transform(&job, &waves, &values);
+            let pulls = eliminate(&job, &factors, &mut spectrum);
+            couple(&job, &factors, &pulls, &mut spectrum);
+            substitute(&job, &factors, &mut spectrum);
+            let (found, _) = transform_back(&job, &waves, &spectrum, &values);
+
+            let mut expected: Vec<f64> = values.iter().map(|&x| f64::from(x)).collect();
+            Solver::new(grid).precondition_evenly(ring_weights(rings), smoothness, &mut expected);
+            let scale = expected.iter().map(|x| x.abs()).fold(0.0, f64::max);
+            let apart =
+                found.iter().zip(&expected).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
+            // Ends that no echo holds are held by the bending alone: there rounding counts most.
+            assert!(apart < 2e-3 * scale, "{rings} rings of {nodes}: {apart:e} of {scale:e}");
+        }
+    }
+
+    #[test]
+    fn weights_that_are_no_numbers_have_no_factors() {
+        let grid = Grid::new(100, 9, 1.1, 4.0);
+        assert!(factors(&grid, &Job::new(100, 9, 4.0), vec![f64::NAN; 100], 1.0).is_none());
+    }
+}

@@ -125,3 +125,110 @@ pub fn accumulate(job: &Job, echo: &Echo, wall: &[f32], shift: [f32; 2], sums: &
     add(m, 4, q * value, job.way_scale);
     add(c, 4, r * value, job.way_scale);
 }
+
+#[cfg(all(test, feature = "gpu"))]
+mod tests {
+    use super::*;
+    use crate::sweep::axis::Place;
+    use crate::sweep::echo::Echo as OnCpu;
+    use crate::sweep::grid::{Equations, Grid};
+    use glam::{DMat3, DVec3};
+    use rand::{RngExt, SeedableRng};
+    use std::f64::consts::TAU;
+
+    const GRID: Grid = Grid { rings: 40, nodes: 24, step_mm: 2.6, arc_mm: TAU * 10.0 / 24.0 };
+    const START_MM: f64 = 10.3;
+    const NOISE_MM: f64 = 0.8;
+
+    /// A smooth wall, and echoes about it, far beyond its ends too.
+    fn wall_and_echoes() -> (Vec<f64>, Vec<OnCpu>) {
+        let radius = |node: usize| {
+            let (k, j) = ((node / 24) as f64, (node % 24) as f64);
+            10.0 + 0.6 * (0.4 * k).sin() + 0.5 * (2.0 * TAU * j / 24.0).cos()
+        };
+        // As f32 holds it, so that both see the same wall.
+        let radii =
+            (0..GRID.node_count()).map(|n| START_MM + f64::from((radius(n) - START_MM) as f32)).collect();
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
+        let echo = |_| {
+            let turn = rng.random_range(0.0..TAU);
+            let tilt: f64 = rng.random_range(-0.5..0.5);
+            let place = Place {
+                ring: rng.random_range(0.0..39.0),
+                theta_rad: rng.random_range(0.0..TAU),
+                radius_mm: rng.random_range(8.0..13.0),
+                directions: DMat3::from_rotation_y(rng.random_range(-0.1..0.1)),
+                stretch: rng.random_range(0.8..1.2),
+            };
+            OnCpu::new(
+                &place,
+                DVec3::new(tilt.sin() * turn.cos(), tilt.sin() * turn.sin(), tilt.cos()),
+                0,
+                24,
+            )
+        };
+        (radii, (0..3000).map(echo).collect())
+    }
+
+    #[test]
+    fn feet_and_misses_are_the_cpu_s() {
+        let (radii, mut echoes) = wall_and_echoes();
+        let wall: Vec<f32> = radii.iter().map(|r| (r - START_MM) as f32).collect();
+        let job = Job { feet: 1, ..Job::new(40, 24, START_MM) }.with_noise(NOISE_MM);
+        let mut shifts = vec![[0.0_f32; 2]; echoes.len()];
+        // Feet that have moved, too. What is on another triangle after rounding is the same wall, but another slope.
+        for round in 0..4 {
+            let mut on_other_triangles = 0;
+            for (echo, shift) in echoes.iter_mut().zip(&mut shifts) {
+                let (miss, moved) = measure(&job, &echo.for_device(&GRID, START_MM), &wall, *shift);
+                let before = echo.foot();
+                echo.measure(&GRID, &radii, NOISE_MM, true);
+                // A dozen roundings of some 4 mm.
+                if (f64::from(miss) - echo.miss_mm).abs() > 2e-5 {
+                    on_other_triangles += 1;
+                    let place = (before.0.fract() - before.1.rem_euclid(1.0)).abs();
+                    assert!(place.min(before.0.fract()) < 1e-5, "{round}: {miss} {}", echo.miss_mm);
+                }
+                *shift = moved;
+            }
+            assert!(on_other_triangles <= 3, "{on_other_triangles}");
+        }
+        let apart = |(echo, shift): (&OnCpu, &[f32; 2])| {
+            let device = echo.for_device(&GRID, START_MM);
+            let foot = echo.foot();
+            let ring = f64::from(device.ring) + f64::from(device.ring_part) + f64::from(shift[0]) - foot.0;
+            let node = f64::from(device.node) + f64::from(device.node_part) + f64::from(shift[1]) - foot.1;
+            ring.abs().max((node + 12.0).rem_euclid(24.0) - 12.0)
+        };
+        let far = echoes.iter().zip(&shifts).map(apart).filter(|apart| *apart > 1e-4).count();
+        assert!(far <= 6, "{far} feet elsewhere");
+    }
+
+    #[test]
+    fn sums_are_the_cpu_s() {
+        let (radii, echoes) = wall_and_echoes();
+        let wall: Vec<f32> = radii.iter().map(|r| (r - START_MM) as f32).collect();
+        for gated in [0, 1] {
+            let job = Job { gated, ..Job::new(40, 24, START_MM) }.with_noise(NOISE_MM / 4.0);
+            let mut sums = vec![[0; 5]; GRID.node_count()];
+            let mut expected = Equations::over(&GRID, 0..GRID.rings);
+            for mut echo in echoes.iter().copied() {
+                accumulate(&job, &echo.for_device(&GRID, START_MM), &wall, [0.0; 2], &mut sums);
+                let measured = echo.measure(&GRID, &radii, NOISE_MM / 4.0, false);
+                let miss = echo.miss_mm.abs();
+                if gated == 0 || miss <= crate::sweep::echo::gate(NOISE_MM / 4.0, measured.wall_mm) {
+                    let robust = (crate::sweep::wall::HUBER * NOISE_MM / 4.0 / miss).min(1.0);
+                    let corners = GRID.corners(echo.foot().0, echo.foot().1);
+                    expected.add(&corners, robust * measured.weight, measured.radial_mm * 4.0 / NOISE_MM);
+                }
+            }
+            for (found, expected) in sums.iter().zip(expected.rows()) {
+                for (part, (&found, expected)) in found.iter().zip(expected).enumerate() {
+                    let unit = if part == 4 { job.way_unit } else { job.weight_unit };
+                    let found = found as f64 * f64::from(unit);
+                    assert!((found - expected).abs() < 2e-4, "{part}: {found} {expected}");
+                }
+            }
+        }
+    }
+}
