@@ -1,5 +1,5 @@
 // The equations of a node, from the sums over echoes; and what is left of them with the wall as it is, in units of the
-// noise.
+// noise. That waits in `product` until the residual is wanted.
 
 @group(0) @binding(0) var<uniform> job: Job;
 @group(0) @binding(1) var<storage, read> sums_low: array<u32>;
@@ -7,7 +7,7 @@
 @group(0) @binding(3) var<storage, read> wall: array<f32>;
 // Couplings to itself, to the next along the ring, to the one above, to the one above that next.
 @group(0) @binding(4) var<storage, read_write> rows: array<vec4f>;
-@group(0) @binding(5) var<storage, read_write> residual: array<f32>;
+@group(0) @binding(5) var<storage, read_write> product: array<f32>;
 @group(0) @binding(6) var<storage, read_write> change: array<f32>;
 @group(0) @binding(7) var<storage, read_write> direction: array<f32>;
 
@@ -36,7 +36,7 @@ fn main(
         sum(node, 3u, job.weight_unit),
     );
     let bent = bending(node / job.nodes, node % job.nodes);
-    residual[node] = sum(node, 4u, job.way_unit) - bent * job.per_noise;
+    product[node] = sum(node, 4u, job.way_unit) - bent * job.per_noise;
     change[node] = 0.0;
     direction[node] = 0.0;
 }

@@ -217,7 +217,7 @@ fn sums(job: &Job, seed: u64) -> Vec<[i64; 5]> {
 }
 
 #[test]
-fn assemble_and_weigh_rings_are_their_twins() {
+fn assemble_aim_and_weigh_rings_are_their_twins() {
     let Some(device) = device() else { return };
     for (rings, nodes) in GRIDS {
         let job = job(rings, nodes);
@@ -228,7 +228,7 @@ fn assemble_and_weigh_rings_are_their_twins() {
         let low: Vec<u32> = sums.iter().flatten().map(|&s| s as u32).collect();
         let high: Vec<u32> = sums.iter().flatten().map(|&s| (s >> 32) as u32).collect();
         let inputs = [("sums_low", bytes(&low)), ("sums_high", bytes(&high)), ("wall", bytes(&wall))];
-        let outputs = ["rows", "residual", "change", "direction"];
+        let outputs = ["rows", "product", "change", "direction"];
         let [rows, residual, change, direction] = device.run(&workspace, "assemble", &inputs, outputs);
         let (expected, left) = passes::assemble(&job, &sums, &wall);
         numbers(&rows, expected.as_flattened(), Tolerance::of(device.exact, 4.0, 40.0)).unwrap();
@@ -238,6 +238,12 @@ fn assemble_and_weigh_rings_are_their_twins() {
         for zeroed in [change, direction] {
             numbers(&zeroed, &vec![0.0; count], Tolerance::Bits).unwrap();
         }
+
+        let inputs = [&inputs[..], &[("rows", bytes(expected.as_flattened()))]].concat();
+        let [aims] = device.run(&workspace, "aim", &inputs, ["residual"]);
+        let scale = 8.0 * 40.0 * 12.5 * f64::from(job.per_noise);
+        let aimed = passes::aim(&job, &sums, &expected, &wall);
+        numbers(&aims, &aimed, Tolerance::of(device.exact, 16.0, scale)).unwrap();
 
         let [weights] =
             device.run(&workspace, "weigh_rings", &[("rows", bytes(&expected))], ["ring_weights"]);

@@ -14,7 +14,7 @@ use super::wall::{Drawn, Round, WallEngine};
 use crate::Result;
 use crate::fit::EngineDescription;
 use crate::gpu::{AdapterDescription, Context, GpuError, Pipeline, checked};
-use pass::STEP;
+use pass::{PRECONDITION, STEP};
 use rayon::prelude::*;
 
 /// Steps of conjugate gradients between two looks at whether they are near enough. Steps that come too late find that
@@ -224,17 +224,15 @@ impl WallEngine for OnDevice<'_> {
             factors.ok_or(GpuError::Wrong { what: "weights of the rings", found: weight.to_string() })?;
         context.write(self.workspace.shared("factors"), bytemuck::cast_slice(&factors.rings));
         context.write(self.workspace.shared("joints"), bytemuck::cast_slice(&factors.joints));
-        // The CPU compares with the residual of a wall of no radius, which is about that of the weights times its square.
-        let tolerance = round.tolerance * self.start_mm / round.noise_mm;
-        self.workspace.set_job(context, &Job { enough: (tolerance * tolerance * weight) as f32, ..job });
+        // The residual of a wall without radius: that of the wall is compared with it.
+        context.write(self.workspace.shared("state"), bytemuck::bytes_of(&State::default()));
+        let whole = self.sum_of_partials(&[&["aim"], &PRECONDITION[..]].concat(), self.workspace.tiles())?;
+        let enough = round.tolerance * round.tolerance * whole;
+        self.workspace.set_job(context, &Job { enough: enough as f32, ..job });
         let solver_steps = self.solve()?;
 
-        let read =
-            engine.run(&self.workspace, &["move_wall"], &[self.workspace.shared("partials")], |_| ())?;
-        let partials = bytemuck::pod_collect_to_vec::<u8, f32>(&read[0]);
         let count = grid.node_count();
-        let travel: f64 = partials.into_iter().take(count.div_ceil(256)).map(f64::from).sum();
-        let travel_mm = travel / count as f64;
+        let travel_mm = self.sum_of_partials(&["move_wall"], count.div_ceil(256))? / count as f64;
         if !travel_mm.is_finite() {
             return Err(GpuError::Wrong { what: "travel of the nodes", found: travel_mm.to_string() }.into());
         }
@@ -262,13 +260,25 @@ impl WallEngine for OnDevice<'_> {
 }
 
 impl OnDevice<'_> {
+    /// Runs passes and adds up what the workgroups of the last one have summed up.
+    fn sum_of_partials(&self, passes: &[&str], count: usize) -> Result<f64> {
+        let read = self.engine.run(&self.workspace, passes, &[self.workspace.shared("partials")], |_| ())?;
+        let partials = bytemuck::pod_collect_to_vec::<u8, f32>(&read[0]);
+        Ok(partials.into_iter().take(count).map(f64::from).sum())
+    }
+
     /// Conjugate gradients, until the device says that it is near enough; returns the number of steps.
     fn solve(&self) -> Result<usize> {
-        let state = self.workspace.shared("state");
-        self.engine.context.write(state, bytemuck::bytes_of(&State::default()));
-        let steps = STEP.repeat(STEPS_A_SUBMISSION);
-        for _ in 0..MOST_STEPS.div_ceil(STEPS_A_SUBMISSION) {
-            let read = self.engine.run(&self.workspace, &steps, &[state], |_| ())?;
+        let [state, residual, product] =
+            ["state", "residual", "product"].map(|name| self.workspace.shared(name));
+        let steps = [PRECONDITION, STEP].concat().repeat(STEPS_A_SUBMISSION);
+        for submission in 0..MOST_STEPS.div_ceil(STEPS_A_SUBMISSION) {
+            let read = self.engine.run(&self.workspace, &steps, &[state], |encoder| {
+                if submission == 0 {
+                    // Where `assemble` has left it.
+                    encoder.copy_buffer_to_buffer(product, 0, residual, 0, Some(product.size()));
+                }
+            })?;
             let state: State = bytemuck::pod_read_unaligned(&read[0]);
             if state.done != 0 || state.steps as usize >= MOST_STEPS {
                 return Ok(state.steps as usize);

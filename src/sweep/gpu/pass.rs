@@ -36,6 +36,7 @@ const JOB: &str = include_str!("../../../shaders/sweep/common/job.wgsl");
 const ECHO: &str = include_str!("../../../shaders/sweep/common/echo.wgsl");
 const BENDING: &str = include_str!("../../../shaders/sweep/common/bending.wgsl");
 const BLOCKS: &str = include_str!("../../../shaders/sweep/common/blocks.wgsl");
+const COUPLED: &str = include_str!("../../../shaders/sweep/common/coupled.wgsl");
 const PARTIALS: &str = include_str!("../../../shaders/sweep/common/partials.wgsl");
 const SUM: &str = include_str!("../../../shaders/sweep/common/sum.wgsl");
 const TRANSFORM: &str = include_str!("../../../shaders/sweep/common/transform.wgsl");
@@ -61,7 +62,7 @@ macro_rules! pass {
 
 /// Every pass, in the order in which they run: `count_misses` and `pick_digit` four times, those from `transform` to
 /// `advance` once for each step of conjugate gradients.
-pub static PASSES: [Pass; 17] = [
+pub static PASSES: [Pass; 18] = [
     pass!("measure", Echoes, 256, [ECHO], ["echoes": Read, "wall": Read, "shifts": Write, "misses": Write]),
     pass!("count_misses", EchoBlocks, 256, [], ["misses": Read, "state": Read, "counts": Write]),
     pass!("pick_digit", One, 256, [], ["counts": Write, "state": Write]),
@@ -69,8 +70,11 @@ pub static PASSES: [Pass; 17] = [
         "echoes": Read, "wall": Read, "shifts": Read, "sums_low": Write, "sums_high": Write,
     ]),
     pass!("assemble", Nodes, 256, [BENDING, EXACT], [
-        "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Write, "residual": Write, "change": Write,
+        "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Write, "product": Write, "change": Write,
         "direction": Write,
+    ]),
+    pass!("aim", Nodes, 256, [COUPLED, EXACT], [
+        "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Read, "residual": Write,
     ]),
     pass!("weigh_rings", Rings, 256, [SUM], ["rows": Read, "ring_weights": Write]),
     pass!("transform", Tiles, 64, [TRANSFORM], [
@@ -89,7 +93,7 @@ pub static PASSES: [Pass; 17] = [
     ]),
     pass!("turn", One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
     pass!("redirect", Nodes, 256, [], ["state": Read, "preconditioned": Read, "direction": Write]),
-    pass!("apply", Nodes, 256, [BENDING, SUM], [
+    pass!("apply", Nodes, 256, [BENDING, COUPLED, SUM], [
         "state": Read, "rows": Read, "direction": Read, "product": Write, "partials": Write,
     ]),
     pass!("stride", One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
@@ -99,16 +103,7 @@ pub static PASSES: [Pass; 17] = [
     pass!("move_wall", Nodes, 256, [SUM], ["change": Read, "wall": Write, "partials": Write]),
 ];
 
-/// The passes of a step of conjugate gradients.
-pub(super) const STEP: [&str; 10] = [
-    "transform",
-    "eliminate",
-    "couple",
-    "substitute",
-    "transform_back",
-    "turn",
-    "redirect",
-    "apply",
-    "stride",
-    "advance",
-];
+/// The passes of the preconditioner, and those that follow it in a step of conjugate gradients.
+pub(super) const PRECONDITION: [&str; 5] =
+    ["transform", "eliminate", "couple", "substitute", "transform_back"];
+pub(super) const STEP: [&str; 5] = ["turn", "redirect", "apply", "stride", "advance"];

@@ -135,6 +135,11 @@ impl Workspace {
         self.chunks.iter().map(|chunk| chunk.echoes as usize)
     }
 
+    /// Workgroups of the transforms.
+    pub(super) fn tiles(&self) -> usize {
+        tiles(&self.job) as usize
+    }
+
     /// Tells the passes of a job on the same grid.
     pub(super) fn set_job(&mut self, context: &Context, job: &Job) {
         for chunk in &self.chunks {

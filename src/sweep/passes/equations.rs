@@ -1,4 +1,5 @@
-//! The least-squares equations (`shaders/sweep/assemble.wgsl`, `weigh_rings.wgsl`, `apply.wgsl`). In f64 these are
+//! The least-squares equations (`shaders/sweep/assemble.wgsl`, `aim.wgsl`, `weigh_rings.wgsl`,
+//! `apply.wgsl`). In f64 these are
 //! `Equations` of the CPU.
 
 use super::sum::{partial_sums, sum_of_workgroup};
@@ -40,6 +41,19 @@ pub fn weigh_rings(job: &Job, rows: &[[f32; 4]]) -> Vec<f32> {
         .collect()
 }
 
+/// The right-hand side of the equations for whole radii, in units of the noise: what the residual is compared with.
+pub fn aim(job: &Job, sums: &[Sums], rows: &[[f32; 4]], wall: &[f32]) -> Vec<f32> {
+    let nodes = job.nodes as usize;
+    let radii: Vec<f32> = wall.iter().map(|r| (r + job.start) * job.per_noise).collect();
+    (0..wall.len())
+        .map(|node| {
+            let way = f32::mean_of(sums[node][4], job.way_unit, 1);
+            coupled(job, rows, &radii, node / nodes, node % nodes) + way
+        })
+        .collect()
+}
+
+/// The echoes' couplings times `x`, at node j of ring k.
 fn coupled(job: &Job, rows: &[[f32; 4]], x: &[f32], k: usize, j: usize) -> f32 {
     let nodes = job.nodes as usize;
     let row = k * nodes;

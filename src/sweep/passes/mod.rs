@@ -18,7 +18,7 @@ mod transform;
 pub use bending::bending;
 pub use blocks::{Factors, couple, eliminate, substitute};
 pub use echo::{FARTHEST_CELL, Sums, Way, accumulate, measure, way_to_wall};
-pub use equations::{apply, assemble, weigh_rings};
+pub use equations::{aim, apply, assemble, weigh_rings};
 pub use gradients::{advance, move_wall, redirect, stride, turn};
 pub use job::{Echo, Job, State};
 pub use noise::{count_misses, pick_digit};
