@@ -16,10 +16,18 @@ use crate::fit::EngineDescription;
 use crate::gpu::{AdapterDescription, Context, GpuError, Pipeline, checked};
 use pass::{PRECONDITION, STEP};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Steps of conjugate gradients between two looks at whether they are near enough. Steps that come too late find that
 /// out by themselves and do nothing.
 const STEPS_A_SUBMISSION: usize = 10;
+
+/// A transform loops over the nodes of a ring: llvmpipe ends an invocation's loops, without a word, after 65,535 rounds of
+/// all of them together.
+const MOST_NODES_A_RING: usize = 32_768;
+/// Five sums a node are counted in u32.
+const MOST_NODES: usize = (u32::MAX / 5) as usize;
 
 /// A pass made ready on a device.
 struct ReadyPass {
@@ -31,6 +39,8 @@ struct ReadyPass {
 pub struct SweepEngine {
     context: Context,
     passes: Vec<ReadyPass>,
+    /// Device time of each pass so far, in seconds, while somebody wants to know.
+    times: Mutex<Option<BTreeMap<&'static str, f64>>>,
 }
 
 impl SweepEngine {
@@ -56,7 +66,7 @@ impl SweepEngine {
             .iter()
             .map(|pass| Ok(ReadyPass { pass, pipeline: Pipeline::new(&context.device, &pass.shader)? }))
             .collect::<Result<Vec<_>, GpuError>>()?;
-        Ok(Self { context, passes })
+        Ok(Self { context, passes, times: Mutex::default() })
     }
 
     /// The adapter, where the engine chose it.
@@ -81,6 +91,23 @@ impl SweepEngine {
     /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses one.
     pub fn warm_up(&self) -> Result<()> {
         Ok(self.passes.iter().try_for_each(|ready| ready.pipeline.warm_up(&self.context.device))?)
+    }
+
+    /// Does some work and tells the device time of each pass in it, in seconds, in the order of their names; nothing
+    /// where the device cannot time passes.
+    ///
+    /// # Errors
+    /// The work's.
+    pub fn timed<R>(&self, work: impl FnOnce(&Self) -> Result<R>) -> Result<(R, Vec<(&'static str, f64)>)> {
+        let can = self.context.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
+        *self.times() = can.then(BTreeMap::new);
+        let done = work(self);
+        let times = self.times().take().unwrap_or_default();
+        Ok((done?, times.into_iter().collect()))
+    }
+
+    fn times(&self) -> MutexGuard<'_, Option<BTreeMap<&'static str, f64>>> {
+        self.times.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Device memory for a wall and the echoes about it.
@@ -131,22 +158,68 @@ impl SweepEngine {
         buffers: &[&wgpu::Buffer],
         prepare: impl FnOnce(&mut wgpu::CommandEncoder),
     ) -> Result<Vec<Vec<u8>>, GpuError> {
+        let find = |name: &str| {
+            let ready = workspace::row(name).and_then(|row| self.passes.get(row));
+            ready.ok_or_else(|| GpuError::Refused { what: name.into(), reason: "no such pass".into() })
+        };
+        let passes = passes.iter().map(|name| find(name)).collect::<Result<Vec<_>, GpuError>>()?;
+        if self.times().is_some() && !passes.is_empty() {
+            return self.run_timed(workspace, &passes, buffers, prepare);
+        }
         self.context.run(workspace.bytes(), buffers, |encoder| {
             prepare(encoder);
-            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: Some("lumenmesh sweep"),
-                timestamp_writes: None,
-            });
-            for name in passes {
-                let ready = workspace::row(name).and_then(|row| self.passes.get(row));
-                let ready = ready.ok_or_else(|| GpuError::Refused {
-                    what: (*name).into(),
-                    reason: "no such pass".into(),
-                })?;
+            let mut compute = encoder.begin_compute_pass(&Default::default());
+            passes.iter().try_for_each(|ready| workspace.dispatch(&self.context, ready, &mut compute))
+        })
+    }
+
+    /// As [`run`](Self::run), each pass in a compute pass of its own between two timestamps.
+    fn run_timed(
+        &self,
+        workspace: &Workspace,
+        passes: &[&ReadyPass],
+        buffers: &[&wgpu::Buffer],
+        prepare: impl FnOnce(&mut wgpu::CommandEncoder),
+    ) -> Result<Vec<Vec<u8>>, GpuError> {
+        let device = &self.context.device;
+        let count = 2 * passes.len() as u32;
+        let queries = device.create_query_set(&wgpu::QuerySetDescriptor {
+            label: None,
+            ty: wgpu::QueryType::Timestamp,
+            count,
+        });
+        let resolved = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("timestamps"),
+            size: 8 * u64::from(count),
+            usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
+        let mut read = self.context.run(workspace.bytes(), &[buffers, &[&resolved]].concat(), |encoder| {
+            prepare(encoder);
+            for (ready, first) in passes.iter().zip((0..count).step_by(2)) {
+                let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                    label: Some(ready.pass.shader.name),
+                    timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
+                        query_set: &queries,
+                        beginning_of_pass_write_index: Some(first),
+                        end_of_pass_write_index: Some(first + 1),
+                    }),
+                });
                 workspace.dispatch(&self.context, ready, &mut compute)?;
             }
+            encoder.resolve_query_set(&queries, 0..count, &resolved, 0);
             Ok(())
-        })
+        })?;
+        let ticks: Vec<u64> =
+            read.pop().map(|bytes| bytemuck::pod_collect_to_vec(&bytes)).unwrap_or_default();
+        let period_s = f64::from(self.context.queue.get_timestamp_period()) * 1e-9;
+        if let Some(times) = self.times().as_mut() {
+            for (ready, ticks) in passes.iter().zip(ticks.chunks_exact(2)) {
+                *times.entry(ready.pass.shader.name).or_default() +=
+                    ticks[1].saturating_sub(ticks[0]) as f64 * period_s;
+            }
+        }
+        Ok(read)
     }
 
     /// A wall and echoes on the device.
@@ -156,13 +229,17 @@ impl SweepEngine {
         echoes: &'a mut [echo::Echo],
         start_mm: f64,
     ) -> Result<OnDevice<'a>> {
-        let too_large = |name: &str, found: usize| GpuError::TooLarge {
-            name: name.into(),
-            needed: found as u64,
-            allowed: u64::from(u32::MAX),
+        let refused = |what: &str, found: usize, most: usize| GpuError::Refused {
+            what: format!("{found} {what}"),
+            reason: format!("{most} at most"),
         };
-        let rings = u32::try_from(grid.rings).map_err(|_| too_large("rings", grid.rings))?;
-        let nodes = u32::try_from(grid.nodes).map_err(|_| too_large("nodes", grid.nodes))?;
+        if grid.nodes > MOST_NODES_A_RING {
+            return Err(refused("nodes a ring", grid.nodes, MOST_NODES_A_RING).into());
+        }
+        if grid.node_count() > MOST_NODES {
+            return Err(refused("nodes", grid.node_count(), MOST_NODES).into());
+        }
+        let (rings, nodes) = (grid.rings as u32, grid.nodes as u32);
         let job = Job::new(rings, nodes, start_mm);
         let of_device: Vec<Echo> = echoes.iter().map(|echo| echo.for_device(grid, start_mm)).collect();
         let workspace = self.prepare(&job, &of_device)?;
