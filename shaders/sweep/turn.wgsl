@@ -6,7 +6,7 @@
 
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) local: u32) {
-    let count = ((job.nodes + 63u) / 64u) * ((job.rings + 7u) / 8u);
+    let count = (job.rings * (job.nodes / 2u + 1u) + 255u) / 256u;
     let size = sum_of_partials(count, local);
     if (local == 0u && state.done == 0u) {
         if (size > job.enough) {

@@ -2,6 +2,7 @@
 
 use crate::device::{device, say};
 use crate::recordings::shared;
+use lumenmesh::bench::SweepCase;
 use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Backend, Settings, Sweep as SweepSettings};
@@ -125,11 +126,11 @@ fn the_sweep_s_error_is_the_cpu_s() {
 #[ignore = "takes minutes on a software device; run it optimised"]
 fn thousands_of_rings_of_512_nodes_are_the_cpu_s() {
     let Some(_) = device() else { return };
-    for noise in [Noise::default(), Noise::none()] {
-        let noise = Noise { seed: 11, ..noise };
-        let probe = Probe { rays: 512, ..Probe::default() };
-        let many = simulate::Settings { noise, probe, ..simulate::Settings::default() };
-        let recording = simulated("small_arch", &many);
+    let many: SweepCase = "512x1e6".parse().unwrap();
+    let small = Noise { contour_sd_mm: 0.01, ..Noise::none() };
+    let probe = Probe { rays: 512, ..Probe::default() };
+    let clean = simulate::Settings { noise: small, probe, ..simulate::Settings::default() };
+    for recording in [simulated("small_arch", &clean), many.recording(11)] {
         let start = std::time::Instant::now();
         let expected = Sweep::of(&recording, &settings(Backend::Cpu, Some(512))).unwrap();
         say(&format!(

@@ -37,8 +37,9 @@ struct Job {
     twist: f32,
     // Square of the residual that is left.
     enough: f32,
-    unused_0: f32,
-    unused_1: f32,
+    // Factors of N that transforms go through one after the other.
+    short: u32,
+    long: u32,
 }
 
 struct Echo {

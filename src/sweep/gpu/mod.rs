@@ -23,9 +23,6 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// out by themselves and do nothing.
 const STEPS_A_SUBMISSION: usize = 10;
 
-/// A transform loops over the nodes of a ring: llvmpipe ends an invocation's loops, without a word, after 65,535 rounds of
-/// all of them together.
-const MOST_NODES_A_RING: usize = 32_768;
 /// Five sums a node are counted in u32.
 const MOST_NODES: usize = (u32::MAX / 5) as usize;
 
@@ -229,15 +226,9 @@ impl SweepEngine {
         echoes: &'a mut [echo::Echo],
         start_mm: f64,
     ) -> Result<OnDevice<'a>> {
-        let refused = |what: &str, found: usize, most: usize| GpuError::Refused {
-            what: format!("{found} {what}"),
-            reason: format!("{most} at most"),
-        };
-        if grid.nodes > MOST_NODES_A_RING {
-            return Err(refused("nodes a ring", grid.nodes, MOST_NODES_A_RING).into());
-        }
         if grid.node_count() > MOST_NODES {
-            return Err(refused("nodes", grid.node_count(), MOST_NODES).into());
+            let what = format!("a wall of {} nodes", grid.node_count());
+            return Err(GpuError::Refused { what, reason: format!("{MOST_NODES} at most") }.into());
         }
         let (rings, nodes) = (grid.rings as u32, grid.nodes as u32);
         let job = Job::new(rings, nodes, start_mm);
@@ -303,7 +294,8 @@ impl WallEngine for OnDevice<'_> {
         context.write(self.workspace.shared("joints"), bytemuck::cast_slice(&factors.joints));
         // The residual of a wall without radius: that of the wall is compared with it.
         context.write(self.workspace.shared("state"), bytemuck::bytes_of(&State::default()));
-        let whole = self.sum_of_partials(&[&["aim"], &PRECONDITION[..]].concat(), self.workspace.tiles())?;
+        let whole =
+            self.sum_of_partials(&[&["aim"], &PRECONDITION[..]].concat(), self.workspace.wave_groups())?;
         let enough = round.tolerance * round.tolerance * whole;
         self.workspace.set_job(context, &Job { enough: enough as f32, ..job });
         let solver_steps = self.solve()?;
@@ -348,7 +340,7 @@ impl OnDevice<'_> {
     fn solve(&self) -> Result<usize> {
         let [state, residual, product] =
             ["state", "residual", "product"].map(|name| self.workspace.shared(name));
-        let steps = [PRECONDITION, STEP].concat().repeat(STEPS_A_SUBMISSION);
+        let steps = [&PRECONDITION[..], &STEP].concat().repeat(STEPS_A_SUBMISSION);
         for submission in 0..MOST_STEPS.div_ceil(STEPS_A_SUBMISSION) {
             let read = self.engine.run(&self.workspace, &steps, &[state], |encoder| {
                 if submission == 0 {
@@ -391,7 +383,7 @@ fn factors(grid: &Grid, job: &Job, ring_weights: Vec<f64>, smoothness_mm2: f64) 
 mod tests {
     use super::*;
     use crate::sweep::grid::Solver;
-    use crate::sweep::passes::{couple, eliminate, substitute, transform, transform_back, waves};
+    use crate::sweep::passes::{couple, eliminate, join_values, join_waves, part, substitute, waves};
 
     /// Uneven weights, and rings before, amid and behind them without any.
     fn ring_weights(rings: usize) -> Vec<f64> {
@@ -409,11 +401,11 @@ mod tests {
             let waves = waves(nodes as u32);
             let values: Vec<f32> =
                 (0..grid.node_count()).map(|i| (0.37 * (i * i % 977) as f32).sin()).collect();
-            let mut spectrum = transform(&job, &waves, &values);
+            let mut spectrum = join_waves(&job, &waves, &part(&job, &waves, &values));
             let pulls = eliminate(&job, &factors, &mut spectrum);
             couple(&job, &factors, &pulls, &mut spectrum);
             substitute(&job, &factors, &mut spectrum);
-            let (found, _) = transform_back(&job, &waves, &spectrum, &values);
+            let (found, _) = join_values(&job, &waves, &part(&job, &waves, &spectrum), &values);
 
             let mut expected: Vec<f64> = values.iter().map(|&x| f64::from(x)).collect();
             Solver::new(grid).precondition_evenly(ring_weights(rings), smoothness, &mut expected);

@@ -15,8 +15,8 @@ pub enum Items {
     Nodes,
     /// A workgroup a ring.
     Rings,
-    /// A workgroup for every 64 nodes of eight rings.
-    Tiles,
+    /// An invocation a frequency of each ring.
+    Frequencies,
     /// An invocation a wave of a block of rings.
     BlockWaves,
     /// An invocation a wave.
@@ -39,7 +39,8 @@ const BLOCKS: &str = include_str!("../../../shaders/sweep/common/blocks.wgsl");
 const COUPLED: &str = include_str!("../../../shaders/sweep/common/coupled.wgsl");
 const PARTIALS: &str = include_str!("../../../shaders/sweep/common/partials.wgsl");
 const SUM: &str = include_str!("../../../shaders/sweep/common/sum.wgsl");
-const TRANSFORM: &str = include_str!("../../../shaders/sweep/common/transform.wgsl");
+const JOIN: &str = include_str!("../../../shaders/sweep/common/join.wgsl");
+const PART: &str = include_str!("../../../shaders/sweep/common/part.wgsl");
 const EXACT: &str = include_str!("../../../shaders/common/exact.wgsl");
 
 macro_rules! pass {
@@ -60,9 +61,9 @@ macro_rules! pass {
     };
 }
 
-/// Every pass, in the order in which they run: `count_misses` and `pick_digit` four times, those from `transform` to
+/// Every pass, in the order in which they run: `count_misses` and `pick_digit` four times, those from `part_residual` to
 /// `advance` once for each step of conjugate gradients.
-pub static PASSES: [Pass; 18] = [
+pub static PASSES: [Pass; 20] = [
     pass!("measure", Echoes, 256, [ECHO], ["echoes": Read, "wall": Read, "shifts": Write, "misses": Write]),
     pass!("count_misses", EchoBlocks, 256, [], ["misses": Read, "state": Read, "counts": Write]),
     pass!("pick_digit", One, 256, [], ["counts": Write, "state": Write]),
@@ -77,8 +78,11 @@ pub static PASSES: [Pass; 18] = [
         "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Read, "residual": Write,
     ]),
     pass!("weigh_rings", Rings, 256, [SUM], ["rows": Read, "ring_weights": Write]),
-    pass!("transform", Tiles, 64, [TRANSFORM], [
-        "state": Read, "waves": Read, "residual": Read, "spectrum": Write,
+    pass!("part_residual", Nodes, 256, [PART], [
+        "state": Read, "waves": Read, "residual": Read, "parts": Write,
+    ]),
+    pass!("join_waves", Frequencies, 256, [JOIN], [
+        "state": Read, "waves": Read, "parts": Read, "spectrum": Write,
     ]),
     pass!("eliminate", BlockWaves, 64, [BLOCKS], [
         "state": Read, "factors": Read, "spectrum": Write, "pulls": Write,
@@ -87,9 +91,11 @@ pub static PASSES: [Pass; 18] = [
         "state": Read, "joints": Read, "pulls": Read, "spectrum": Write,
     ]),
     pass!("substitute", BlockWaves, 64, [BLOCKS], ["state": Read, "factors": Read, "spectrum": Write]),
-    pass!("transform_back", Tiles, 64, [SUM, TRANSFORM], [
-        "state": Read, "waves": Read, "spectrum": Read, "residual": Read, "preconditioned": Write,
-        "partials": Write,
+    pass!("part_waves", Nodes, 256, [PART], [
+        "state": Read, "waves": Read, "spectrum": Read, "parts": Write,
+    ]),
+    pass!("join_values", Frequencies, 256, [JOIN, SUM], [
+        "state": Read, "waves": Read, "parts": Read, "residual": Read, "preconditioned": Write, "partials": Write,
     ]),
     pass!("turn", One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
     pass!("redirect", Nodes, 256, [], ["state": Read, "preconditioned": Read, "direction": Write]),
@@ -104,6 +110,6 @@ pub static PASSES: [Pass; 18] = [
 ];
 
 /// The passes of the preconditioner, and those that follow it in a step of conjugate gradients.
-pub(super) const PRECONDITION: [&str; 5] =
-    ["transform", "eliminate", "couple", "substitute", "transform_back"];
+pub(super) const PRECONDITION: [&str; 7] =
+    ["part_residual", "join_waves", "eliminate", "couple", "substitute", "part_waves", "join_values"];
 pub(super) const STEP: [&str; 5] = ["turn", "redirect", "apply", "stride", "advance"];

@@ -37,24 +37,24 @@ fn sizes(job: &Job) -> Vec<(&'static str, u64)> {
         ("sums_high", 20 * nodes),
         ("rows", 16 * nodes),
         ("ring_weights", 4 * rings),
-        ("waves", 4 * around),
+        ("waves", 8 * around),
         ("factors", 20 * rings * frequencies),
         ("joints", 32 * (blocks - 1) * frequencies),
         ("pulls", 16 * blocks * around),
         ("residual", 4 * nodes),
+        ("parts", 8 * nodes),
         ("spectrum", 4 * nodes),
         ("preconditioned", 4 * nodes),
         ("direction", 4 * nodes),
         ("product", 4 * nodes),
         ("change", 4 * nodes),
-        // What `apply` and `move_wall` sum up, and what `transform_back` does.
-        ("partials", 4 * nodes.div_ceil(256).max(u64::from(tiles(job)))),
+        ("partials", 4 * nodes.div_ceil(256).max(u64::from(wave_groups(job)))),
     ]
 }
 
-/// Workgroups of the transforms.
-fn tiles(job: &Job) -> u32 {
-    job.nodes.div_ceil(64) * job.rings.div_ceil(8)
+/// Workgroups that join waves: 256 frequencies each.
+fn wave_groups(job: &Job) -> u32 {
+    (job.rings * (job.nodes / 2 + 1)).div_ceil(256)
 }
 
 impl Workspace {
@@ -135,9 +135,9 @@ impl Workspace {
         self.chunks.iter().map(|chunk| chunk.echoes as usize)
     }
 
-    /// Workgroups of the transforms.
-    pub(super) fn tiles(&self) -> usize {
-        tiles(&self.job) as usize
+    /// Workgroups that join waves.
+    pub(super) fn wave_groups(&self) -> usize {
+        wave_groups(&self.job) as usize
     }
 
     /// Tells the passes of a job on the same grid.
@@ -166,7 +166,7 @@ impl Workspace {
                 Items::One => 1,
                 Items::Nodes => job.node_count.div_ceil(size),
                 Items::Rings => job.rings,
-                Items::Tiles => tiles(job),
+                Items::Frequencies => wave_groups(job),
                 Items::BlockWaves => (job.blocks * job.nodes).div_ceil(size),
                 Items::Waves => job.nodes.div_ceil(size),
             };

@@ -62,8 +62,10 @@ pub struct Job {
     pub twist: f32,
     /// Square of the residual that conjugate gradients leave, in the preconditioner's norm.
     pub enough: f32,
-    /// To a multiple of 16 bytes.
-    pub unused: [u32; 2],
+    /// The largest factor of N that is not above its root.
+    pub short: u32,
+    /// The other factor.
+    pub long: u32,
 }
 
 impl Job {
@@ -73,6 +75,7 @@ impl Job {
         let weight_scale = f32::fixed_point_scale(1.0 / OUT_OF_PLANE.min(1.0));
         let way_scale = f32::fixed_point_scale(HUBER / OUT_OF_PLANE.min(1.0).sqrt());
         let block_rings = block_rings(rings);
+        let short = (1..=nodes.isqrt()).rev().find(|factor| nodes % factor == 0).unwrap_or(1);
         Self {
             rings,
             nodes,
@@ -80,6 +83,8 @@ impl Job {
             blocks: (rings / block_rings).max(1),
             block_rings,
             start: start_mm as f32,
+            short,
+            long: nodes / short,
             step_theta: (TAU / f64::from(nodes)) as f32,
             per_node: (1.0 / f64::from(nodes)) as f32,
             in_plane: (1.0 - OUT_OF_PLANE) as f32,

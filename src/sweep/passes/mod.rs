@@ -23,4 +23,4 @@ pub use gradients::{advance, move_wall, redirect, stride, turn};
 pub use job::{Echo, Job, State};
 pub use noise::{count_misses, pick_digit};
 pub use sum::{sum_of_partials, sum_of_workgroup};
-pub use transform::{transform, transform_back, waves};
+pub use transform::{join_values, join_waves, part, waves};

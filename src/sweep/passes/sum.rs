@@ -21,7 +21,7 @@ pub fn sum_of_partials(partials: &[f32]) -> f32 {
 }
 
 /// The sums of workgroups of 256.
-pub(super) fn partial_sums(addends: impl ExactSizeIterator<Item = f32>) -> Vec<f32> {
+pub(super) fn partial_sums(addends: impl Iterator<Item = f32>) -> Vec<f32> {
     let addends: Vec<f32> = addends.collect();
     addends
         .chunks(256)
