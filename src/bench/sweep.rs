@@ -1,11 +1,11 @@
 //! The sweep's wall fit on the CPU and on a device.
 
 use super::{Parity, RADIUS_MM, Times};
+use crate::Result;
 use crate::geometry::Pose;
 use crate::recording::{Frame, Recording};
 use crate::settings::{Backend, Settings, Sweep as SweepSettings};
 use crate::sweep::Sweep;
-use crate::{Error, Result};
 use glam::{DQuat, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use serde::Serialize;
@@ -149,7 +149,7 @@ pub fn run_sweep(
         let parity = Parity::of(["cpu", "gpu"], &expected.radii_mm, &found.radii_mm)?;
         let seconds = (0..repeats.max(1))
             .map(|_| Ok(Sweep::on_device(&recording, &settings, engine)?.report.seconds.fit))
-            .collect::<Result<Vec<f64>, Error>>()?;
+            .collect::<Result<Vec<f64>>>()?;
         let (_, passes) = engine.timed(|engine| Sweep::on_device(&recording, &settings, engine))?;
         let passes = passes.into_iter().map(|(name, seconds)| SweepPassRow { name, ms: seconds * 1e3 });
         row.device = Some(SweepDeviceRow { fit: Times::of(seconds), parity, passes: passes.collect() });

@@ -43,7 +43,7 @@ impl GpuEngine {
     /// The engine on the adapter whose name contains `adapter` (without regard to case), or on the best one.
     ///
     /// # Errors
-    /// [`Error::Gpu`] where there is no such adapter or it refuses a shader.
+    /// [`Error::Gpu`](crate::Error::Gpu) where there is no such adapter or it refuses a shader.
     pub fn new(adapter: Option<&str>) -> Result<Self> {
         Self::on(Context::new(adapter)?)
     }
@@ -51,7 +51,7 @@ impl GpuEngine {
     /// The engine on a host's device, which must meet [`Requirements`](crate::gpu::Requirements). No handler of the host's is replaced.
     ///
     /// # Errors
-    /// [`Error::Gpu`] where the device refuses a shader.
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses a shader.
     pub fn on_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         Self::on(Context::of_host(device, queue))
     }
@@ -91,7 +91,7 @@ impl GpuEngine {
     /// Builds every pipeline now rather than when it is first needed.
     ///
     /// # Errors
-    /// [`Error::Gpu`] where the device refuses one.
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses one.
     pub fn warm_up(&self) -> Result<()> {
         Ok(self.passes.iter().try_for_each(|ready| ready.pipeline.warm_up(&self.context.device))?)
     }
@@ -100,7 +100,7 @@ impl GpuEngine {
     /// [`Workspace::section`].
     ///
     /// # Errors
-    /// Where settings are invalid, and [`Error::Gpu`] where the job does not fit the device.
+    /// Where settings are invalid, and [`Error::Gpu`](crate::Error::Gpu) where the job does not fit the device.
     pub fn prepare(&self, points: u32, radius_mm: f64, settings: &Settings) -> Result<Workspace> {
         settings.validate()?;
         check_section(&Section::default(), radius_mm)?;
@@ -114,7 +114,7 @@ impl GpuEngine {
     /// driver keeps its faces below a million points, or fits through [`Engine`].
     ///
     /// # Errors
-    /// [`Error::Gpu`] where the device refuses a pipeline.
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses a pipeline.
     pub fn record(&self, workspace: &Workspace, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
         Ok(workspace.record(&self.context, &self.passes, encoder, CpuStages::None, false, &mut |_| None)?)
     }
@@ -137,7 +137,7 @@ impl GpuEngine {
     /// Device memory for the cylinders of a job, a workspace a batch, with the points on the device.
     ///
     /// # Errors
-    /// Where settings are invalid or a frame has no cylinder, and [`Error::Gpu`] where the job does not fit the
+    /// Where settings are invalid or a frame has no cylinder, and [`Error::Gpu`](crate::Error::Gpu) where the job does not fit the
     /// device.
     pub fn prepare_job(&self, job: &Job) -> Result<Vec<Workspace>> {
         job.settings.validate()?;
@@ -150,7 +150,7 @@ impl GpuEngine {
     /// Outputs that are not among the inputs are filled with ones before, so that what a pass leaves out shows.
     ///
     /// # Errors
-    /// [`Error::Gpu`] where there is no such pass or buffer, or the device fails.
+    /// [`Error::Gpu`](crate::Error::Gpu) where there is no such pass or buffer, or the device fails.
     pub fn run_pass(
         &self,
         workspace: &Workspace,

@@ -75,7 +75,7 @@ impl Job {
         let weight_scale = f32::fixed_point_scale(1.0 / OUT_OF_PLANE.min(1.0));
         let way_scale = f32::fixed_point_scale(HUBER / OUT_OF_PLANE.min(1.0).sqrt());
         let block_rings = block_rings(rings);
-        let short = (1..=nodes.isqrt()).rev().find(|factor| nodes % factor == 0).unwrap_or(1);
+        let short = (1..=nodes.isqrt()).rev().find(|factor| nodes.is_multiple_of(*factor)).unwrap_or(1);
         Self {
             rings,
             nodes,
