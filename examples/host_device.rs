@@ -8,9 +8,10 @@
 //! cargo run --release --example host_device
 //! ```
 
-use lumenmesh::fit::gpu::{GpuEngine, Requirements};
+use lumenmesh::fit::gpu::GpuEngine;
 use lumenmesh::fit::passes::Section;
 use lumenmesh::fit::{CpuEngine, Engine};
+use lumenmesh::gpu::Requirements;
 use lumenmesh::settings::Settings;
 use std::error::Error;
 use std::time::Duration;

@@ -84,7 +84,7 @@ pub enum Error {
     /// The device failed.
     #[cfg(feature = "gpu")]
     #[error("{0}")]
-    Gpu(crate::fit::gpu::GpuError),
+    Gpu(crate::gpu::GpuError),
 }
 
 /// The crate's result.

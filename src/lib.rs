@@ -13,6 +13,8 @@ pub mod evaluate;
 pub mod experiments;
 pub mod fit;
 pub mod geometry;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod merge;
 pub mod output;
 pub mod reconstruction;

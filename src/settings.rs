@@ -41,9 +41,9 @@ pub enum Backend {
     /// What is fastest for the work at hand.
     #[default]
     Auto,
-    /// On the CPU in f32.
+    /// On the CPU: cylinders in f32, a sweep in f64.
     Cpu,
-    /// On the CPU in f64: slower, the yardstick of the others.
+    /// On the CPU in f64: the yardstick of the others.
     Reference,
     /// On the GPU, or on whatever software stands in for one.
     #[cfg(feature = "gpu")]

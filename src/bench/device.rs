@@ -3,8 +3,9 @@
 use super::{DeviceRow, PassRow, RADIUS_MM, Times};
 use crate::Result;
 use crate::fit::Engine;
-use crate::fit::gpu::{GpuEngine, GpuError, PASSES, Workspace};
+use crate::fit::gpu::{GpuEngine, PASSES, Workspace};
 use crate::fit::passes::{Section, group};
+use crate::gpu::GpuError;
 use crate::settings::Settings;
 use crate::tube::Tube;
 use std::collections::BTreeMap;
@@ -166,11 +167,16 @@ impl Device {
         Ok(PASSES
             .iter()
             .filter_map(|pass| {
-                let (bytes, flops) = work.of_pass(pass.name);
-                let median_ms = Times::of(samples.remove(pass.name)?).median_ms;
+                let (bytes, flops) = work.of_pass(pass.shader.name);
+                let median_ms = Times::of(samples.remove(pass.shader.name)?).median_ms;
                 let share = bytes as f64 / (median_ms * 1e-3) / self.copy_bytes_per_s;
-                let row =
-                    PassRow { name: pass.name, median_ms, bytes, flops, share_of_copy_bandwidth: share };
+                let row = PassRow {
+                    name: pass.shader.name,
+                    median_ms,
+                    bytes,
+                    flops,
+                    share_of_copy_bandwidth: share,
+                };
                 // A pass without work is not a pass that is fast.
                 (bytes > 0).then_some(row)
             })

@@ -6,6 +6,9 @@
 
 #[cfg(feature = "gpu")]
 pub mod device;
+mod sweep;
+
+pub use sweep::{SweepCase, SweepDeviceRow, SweepPassRow, SweepRow, run_sweep};
 
 use crate::fit::passes::Section;
 use crate::fit::{CpuEngine, DeformedTube, Engine};
@@ -230,17 +233,25 @@ impl Parity {
     /// # Errors
     /// [`Error::Surface`] where they did not see the same points or their median difference is too large.
     pub fn check(names: [&str; 2], a: &DeformedTube, b: &DeformedTube) -> Result<Self> {
-        let fail = |what: &str, found: String, expected: String| {
-            Err(Error::Surface {
-                what: format!("{} against {}: {what}", names[0], names[1]),
-                found,
-                expected,
-            })
-        };
-        if a.points != b.points || a.radii_mm.len() != b.radii_mm.len() {
-            return fail("points", b.points.to_string(), a.points.to_string());
+        if a.points != b.points {
+            return Self::fail(names, "points", b.points.to_string(), a.points.to_string());
         }
-        let mut apart: Vec<f64> = a.radii_mm.iter().zip(&b.radii_mm).map(|(p, q)| (p - q).abs()).collect();
+        Self::of(names, &a.radii_mm, &b.radii_mm)
+    }
+
+    fn fail<R>(names: [&str; 2], what: &str, found: String, expected: String) -> Result<R> {
+        Err(Error::Surface { what: format!("{} against {}: {what}", names[0], names[1]), found, expected })
+    }
+
+    /// Compares the radii of two results, mm.
+    ///
+    /// # Errors
+    /// [`Error::Surface`] where these are not of the same nodes or their median difference is too large.
+    pub fn of(names: [&str; 2], a: &[f64], b: &[f64]) -> Result<Self> {
+        if a.len() != b.len() {
+            return Self::fail(names, "nodes", b.len().to_string(), a.len().to_string());
+        }
+        let mut apart: Vec<f64> = a.iter().zip(b).map(|(p, q)| (p - q).abs()).collect();
         apart.sort_by(f64::total_cmp);
         let rank = |share: f64| apart[((apart.len() - 1) as f64 * share) as usize];
         let parity = Self {
@@ -255,7 +266,7 @@ impl Parity {
             Ok(parity)
         } else {
             let limit = format!("at most {} mm", Self::MOST_MEDIAN_MM);
-            fail("median difference of the radii", format!("{} mm", parity.median_mm), limit)
+            Self::fail(names, "median difference of the radii", format!("{} mm", parity.median_mm), limit)
         }
     }
 }

@@ -1,15 +1,17 @@
 use super::print_json;
 use crate::Result;
-use crate::bench::{Case, Row, Times, run};
+use crate::bench::{Case, Parity, Row, SweepCase, SweepRow, Times, run, run_sweep};
 use serde::Serialize;
 
 /// Measure how fast the engines are on this machine
 ///
-/// Each size is fitted on the CPU and on the device; the results are compared before anything is timed.
+/// Each size is fitted on the CPU and on the device, cylinders first, then sweeps; the results are compared before
+/// anything is timed.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh bench
   lumenmesh bench --sizes 12x5x1e4,512x512x1e6,512x512x1e6:crowded --repeats 9
+  lumenmesh bench --sweeps 512x1e6,512x1e7
   lumenmesh bench --no-device --json > bench.json")]
 pub(super) struct Arguments {
     /// Sizes as NODESxLEVELSxPOINTS, with :crowded (all points in 1 % of the faces) or :half (half the
@@ -21,6 +23,9 @@ pub(super) struct Arguments {
         default_value = "12x5x1e4,12x5x1e6,512x512x1e6"
     )]
     sizes: Vec<Case>,
+    /// Sweeps as NODESxECHOES, along a vessel 500 mm long
+    #[arg(long, value_name = "SIZE,...", value_delimiter = ',', default_value = "90x1e5")]
+    sweeps: Vec<SweepCase>,
     /// How often each is timed
     #[arg(long, value_name = "COUNT", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     repeats: u16,
@@ -43,6 +48,7 @@ struct Output {
     copy_gb_per_s: Option<f64>,
     cold_start_s: Option<f64>,
     rows: Vec<Row>,
+    sweeps: Vec<SweepRow>,
 }
 
 impl Arguments {
@@ -54,6 +60,7 @@ impl Arguments {
             copy_gb_per_s: None,
             cold_start_s: None,
             rows: Vec::new(),
+            sweeps: Vec::new(),
         };
         #[cfg(feature = "gpu")]
         let device = self.device(&mut output)?;
@@ -82,13 +89,32 @@ impl Arguments {
             }
             output.rows.push(row);
         }
+        #[cfg(feature = "gpu")]
+        let engine = match &device {
+            Some(_) if !self.sweeps.is_empty() => {
+                Some(crate::sweep::gpu::SweepEngine::new(self.adapter.as_deref())?)
+            }
+            _ => None,
+        };
+        for &case in &self.sweeps {
+            let row = run_sweep(
+                case,
+                usize::from(self.repeats),
+                #[cfg(feature = "gpu")]
+                engine.as_ref(),
+            )?;
+            if !self.json {
+                print_sweep(&row);
+            }
+            output.sweeps.push(row);
+        }
         if self.json { print_json(&output) } else { Ok(()) }
     }
 
     #[cfg(feature = "gpu")]
     fn device(&self, output: &mut Output) -> Result<Option<crate::bench::device::Device>> {
         use crate::fit::Engine;
-        use crate::fit::gpu::adapters;
+        use crate::gpu::adapters;
         if self.no_device || (self.adapter.is_none() && adapters().is_empty()) {
             return Ok(None);
         }
@@ -100,15 +126,38 @@ impl Arguments {
     }
 }
 
-fn print_row(row: &Row) {
-    let times = |t: &Times| format!("{:>10.3} ms  ({:.3} to {:.3})", t.median_ms, t.min_ms, t.max_ms);
-    println!();
-    println!("{}, 3 iterations", row.case);
-    let parity = &row.parity;
+fn times(t: &Times) -> String {
+    format!("{:>10.3} ms  ({:.3} to {:.3})", t.median_ms, t.min_ms, t.max_ms)
+}
+
+fn print_parity(parity: &Parity) {
     println!(
         "  {} = {}: {} of {} nodes differ, median {:.1e} mm, 99 % below {:.1e} mm",
         parity.engines[0], parity.engines[1], parity.differing, parity.nodes, parity.median_mm, parity.p99_mm
     );
+}
+
+fn print_sweep(row: &SweepRow) {
+    println!();
+    println!(
+        "{}: {} rings, {} iterations, {} solver steps",
+        row.case, row.rings, row.iterations, row.solver_steps
+    );
+    if let Some(device) = &row.device {
+        print_parity(&device.parity);
+    }
+    println!("  cpu, fitting            {:>10.3} ms", row.cpu_ms);
+    let Some(device) = &row.device else { return };
+    println!("  device, fitting         {}", times(&device.fit));
+    for pass in &device.passes {
+        println!("      {:<20}{:>10.3} ms", pass.name, pass.ms);
+    }
+}
+
+fn print_row(row: &Row) {
+    println!();
+    println!("{}, 3 iterations", row.case);
+    print_parity(&row.parity);
     println!("  cpu, 1 thread           {}", times(&row.cpu.one_thread));
     println!("  cpu, {} threads          {}", row.cpu.threads, times(&row.cpu.all_threads));
     let Some(device) = &row.device else { return };

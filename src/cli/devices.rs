@@ -1,7 +1,7 @@
 use super::print_json;
 use crate::Result;
 use crate::fit::AutoEngine;
-use crate::fit::gpu::{AdapterDescription, adapters};
+use crate::gpu::{AdapterDescription, adapters};
 use serde::Serialize;
 
 /// Show the GPU adapters and which one would be used

@@ -1,6 +1,6 @@
 use super::settings::SettingsArguments;
 use super::{print_json, progress};
-use crate::fit::merged_frames;
+use crate::fit::{EngineDescription, merged_frames};
 use crate::reconstruction::{Lumen, LumenReport, Report, write_cylinders};
 use crate::recording::Recording;
 use crate::settings::{Method, Settings};
@@ -100,7 +100,8 @@ pub(super) fn print_report(report: LumenReport) {
 /// The report of a sweep for people.
 fn print_sweep(report: &sweep::Report) {
     let sweep::Report { seconds, .. } = report;
-    println!("method     sweep on {} threads", report.threads);
+    println!("method     sweep");
+    print_engine(&report.engine, report.threads);
     print!("frames     {}", report.frames);
     match report.folded_frames[..] {
         [] => println!(),
@@ -134,16 +135,21 @@ fn print_sweep(report: &sweep::Report) {
     );
 }
 
+/// What computed, and why where it was chosen.
+fn print_engine(engine: &EngineDescription, threads: usize) {
+    match &engine.adapter {
+        Some(adapter) => println!("engine     {} on {adapter}", engine.name),
+        None => println!("engine     {} on {threads} threads", engine.name),
+    }
+    if let Some(why) = &engine.why {
+        println!("           chosen because {why}");
+    }
+}
+
 /// The report of cylinders for people.
 fn print_cylinders(report: &Report) {
     let Report { points, seconds, .. } = report;
-    match &report.engine.adapter {
-        Some(adapter) => println!("engine     {} on {adapter}", report.engine.name),
-        None => println!("engine     {} on {} threads", report.engine.name, report.threads),
-    }
-    if let Some(why) = &report.engine.why {
-        println!("           chosen because {why}");
-    }
+    print_engine(&report.engine, report.threads);
     print!("frames     {}, {} cylinders fitted", report.frames, report.cylinders);
     match report.estimated_cylinders {
         0 => println!(),

@@ -41,8 +41,8 @@ impl AutoEngine {
     /// Why the work stays on the CPU.
     #[cfg(feature = "gpu")]
     pub fn choose(
-        adapters: &[super::gpu::AdapterDescription],
-    ) -> Result<&super::gpu::AdapterDescription, String> {
+        adapters: &[crate::gpu::AdapterDescription],
+    ) -> Result<&crate::gpu::AdapterDescription, String> {
         match adapters.first() {
             None => Err("there is no GPU adapter".into()),
             Some(best) if best.is_software() => Err(format!("the best adapter, {}, is software", best.name)),
@@ -103,15 +103,24 @@ impl AutoEngine {
         if let Some(device) = device.as_ref().filter(|d| d.adapter.as_deref() == adapter) {
             return device.engine.clone();
         }
-        let start = || {
-            if adapter.is_none() {
-                Self::choose(&super::gpu::adapters())?;
-            }
-            super::gpu::GpuEngine::new(adapter).map(std::sync::Arc::new).map_err(|e| e.to_string())
-        };
-        let engine = start();
+        let engine = Self::start(adapter, super::gpu::GpuEngine::new).map(std::sync::Arc::new);
         *device = Some(Device { adapter: adapter.map(str::to_owned), engine: engine.clone() });
         engine
+    }
+
+    /// An engine made by `new` on the adapter of that name, or on the best one if it is not software.
+    ///
+    /// # Errors
+    /// Why the work stays on the CPU.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn start<E>(
+        adapter: Option<&str>,
+        new: impl FnOnce(Option<&str>) -> Result<E>,
+    ) -> Result<E, String> {
+        if adapter.is_none() {
+            Self::choose(&crate::gpu::adapters())?;
+        }
+        new(adapter).map_err(|e| e.to_string())
     }
 
     fn note(&self, description: EngineDescription) {

@@ -7,13 +7,13 @@ use std::f64::consts::TAU;
 
 /// Share of the noise's variance that lies across the image plane: contours are uncertain within their plane, poses
 /// in every direction. At the thesis's levels 0.09 mm² of 1.09 mm².
-const OUT_OF_PLANE: f64 = 0.1;
+pub(super) const OUT_OF_PLANE: f64 = 0.1;
 /// Echoes count as seen on this wall where they are nearer than so many standard deviations of the noise, or than
 /// this share of the radius: what lies behind is a branch, or no wall at all.
-const GATE_SDS: f64 = 6.0;
-const GATE_RADII: f64 = 0.25;
+pub(super) const GATE_SDS: f64 = 6.0;
+pub(super) const GATE_RADII: f64 = 0.25;
 /// Feet are not looked for farther away than so many standard deviations.
-const FARTHEST_FOOT_SDS: f64 = 3.0;
+pub(super) const FARTHEST_FOOT_SDS: f64 = 3.0;
 
 /// An echo about the axis.
 #[derive(Debug, Clone, Copy)]
@@ -55,6 +55,30 @@ impl Echo {
     /// Where its foot is: ring and node.
     pub(super) fn foot(&self) -> (f64, f64) {
         (self.ring + self.shift[0], self.node + self.shift[1])
+    }
+
+    /// The echo as a device holds it, radii measured from `start_mm`: cells and parts of cells apart, so that f32 keeps
+    /// their digits.
+    #[cfg(feature = "gpu")]
+    pub(super) fn for_device(&self, grid: &Grid, start_mm: f64) -> super::passes::Echo {
+        let ring = self.ring.max(0.0).floor();
+        let around = self.node.rem_euclid(grid.nodes as f64);
+        let node = around.floor();
+        super::passes::Echo {
+            ring: ring as u32,
+            ring_part: (self.ring - ring) as f32,
+            node: node as u32,
+            node_part: (around - node) as f32,
+            rise: (self.radius_mm - start_mm) as f32,
+            step: (grid.step_mm * self.stretch) as f32,
+            normal: self.image_normal.as_vec3().to_array(),
+        }
+    }
+
+    /// Takes over what a device measured: the foot, in rings and nodes from the echo, and the miss, mm.
+    #[cfg(feature = "gpu")]
+    pub(super) fn set_way(&mut self, shift: [f64; 2], miss_mm: f64) {
+        (self.shift, self.miss_mm) = (shift, miss_mm);
     }
 
     /// Finds the foot on the wall and measures the way to it.

@@ -73,11 +73,35 @@ impl Grid {
         self.step_mm * self.arc_mm
     }
 
+    /// The weights of rings spread evenly over their nodes, for [`Grid::system`].
+    pub(super) fn even_weights(&self, ring_weights: Vec<f64>) -> Vec<f64> {
+        let mut weights: Vec<f64> = ring_weights.into_iter().map(|w| w / self.nodes as f64).collect();
+        // Rings without points must not make a system singular.
+        let floor = 1e-6 * median(&mut weights.clone()).max(f64::MIN_POSITIVE) + 1e-12;
+        weights.iter_mut().for_each(|w| *w += floor);
+        weights
+    }
+
+    /// The equations along the axis of waves of that frequency about it, where each ring has even weights.
+    pub(super) fn system(&self, frequency: usize, weights: &[f64], smoothness: f64) -> Pentadiagonal {
+        let Self { rings, nodes, step_mm, arc_mm } = *self;
+        let area = smoothness * self.cell_mm2();
+        let around = (2.0 - 2.0 * (TAU * frequency as f64 / nodes as f64).cos()) / (arc_mm * arc_mm);
+        let mut system = Pentadiagonal::second_differences(rings, area / step_mm.powi(4));
+        for (ring, weight) in weights.iter().enumerate() {
+            system.add_diagonal(ring, weight + area * around * around);
+        }
+        for ring in 0..rings - 1 {
+            system.add_pair(ring, 2.0 * area * around / (step_mm * step_mm), [-1.0, 1.0]);
+        }
+        system
+    }
+
     /// Adds the gradient of the bending energy `½ ∫ r_ss² + 2 r_sθ² + r_θθ² dA` at `x`, times `weight`, to `out`.
     ///
     /// Second differences along the axis are left out on the end rings: a straight wall bends nowhere, so ends
     /// are free and a cone stays a cone.
-    fn add_bending(&self, x: &[f64], weight: f64, out: &mut [f64]) {
+    pub(super) fn add_bending(&self, x: &[f64], weight: f64, out: &mut [f64]) {
         let Self { rings, nodes, step_mm, arc_mm } = *self;
         let area = self.cell_mm2() * weight;
         let along = area / step_mm.powi(4);
@@ -160,6 +184,12 @@ impl Equations {
         }
     }
 
+    /// The sums of every node.
+    #[cfg(all(test, feature = "gpu"))]
+    pub(super) fn rows(&self) -> &[[f64; 5]] {
+        &self.rows
+    }
+
     /// `out = (points' couplings)·x`.
     fn apply(&self, grid: &Grid, x: &[f64], out: &mut [f64]) {
         out.fill(0.0);
@@ -201,7 +231,7 @@ pub(super) struct Solver {
 }
 
 /// Steps after which conjugate gradients give up to come nearer.
-const MOST_STEPS: usize = 100;
+pub(super) const MOST_STEPS: usize = 100;
 
 impl Solver {
     pub(super) fn new(grid: Grid) -> Self {
@@ -265,26 +295,20 @@ impl Solver {
 
     /// One system for each frequency about the axis.
     fn preconditioner(&self, equations: &Equations, smoothness: f64) -> Vec<Factored> {
-        let Grid { rings, nodes, step_mm, arc_mm } = self.grid;
-        let mut weights: Vec<f64> =
-            equations.ring_weights(&self.grid).into_iter().map(|w| w / nodes as f64).collect();
-        // Rings without points must not make a system singular.
-        let floor = 1e-6 * median(&mut weights.clone()).max(f64::MIN_POSITIVE) + 1e-12;
-        weights.iter_mut().for_each(|w| *w += floor);
-        let area = smoothness * self.grid.cell_mm2();
-        (0..=nodes / 2)
-            .filter_map(|frequency| {
-                let around = (2.0 - 2.0 * (TAU * frequency as f64 / nodes as f64).cos()) / (arc_mm * arc_mm);
-                let mut system = Pentadiagonal::second_differences(rings, area / step_mm.powi(4));
-                for (ring, weight) in weights.iter().enumerate() {
-                    system.add_diagonal(ring, weight + area * around * around);
-                }
-                for ring in 0..rings - 1 {
-                    system.add_pair(ring, 2.0 * area * around / (step_mm * step_mm), [-1.0, 1.0]);
-                }
-                system.factored()
-            })
+        self.even_preconditioner(equations.ring_weights(&self.grid), smoothness)
+    }
+
+    fn even_preconditioner(&self, ring_weights: Vec<f64>, smoothness: f64) -> Vec<Factored> {
+        let weights = self.grid.even_weights(ring_weights);
+        (0..=self.grid.nodes / 2)
+            .filter_map(|frequency| self.grid.system(frequency, &weights, smoothness).factored())
             .collect()
+    }
+
+    /// The preconditioner of rings of these weights, applied to `x`.
+    #[cfg(all(test, feature = "gpu"))]
+    pub(super) fn precondition_evenly(&self, ring_weights: Vec<f64>, smoothness: f64, x: &mut [f64]) {
+        self.precondition(&self.even_preconditioner(ring_weights, smoothness), x);
     }
 
     fn precondition(&self, systems: &[Factored], x: &mut [f64]) {

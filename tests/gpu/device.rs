@@ -1,6 +1,7 @@
 //! The device of these tests, and single passes run on it.
 
-use lumenmesh::fit::gpu::{GpuEngine, Workspace, adapters};
+use lumenmesh::fit::gpu::{GpuEngine, Workspace};
+use lumenmesh::gpu::adapters;
 use std::io::Write;
 use std::sync::OnceLock;
 

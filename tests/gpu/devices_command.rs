@@ -1,7 +1,7 @@
 //! The command `devices`.
 
 use crate::sections::recording;
-use lumenmesh::fit::gpu::adapters;
+use lumenmesh::gpu::adapters;
 use std::process::{Command, Output};
 
 fn devices(arguments: &[&str], environment: &[(&str, &str)]) -> Output {

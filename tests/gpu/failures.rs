@@ -3,9 +3,12 @@
 use crate::device::{device, open};
 use crate::sections::{RADIUS_MM, recording, wall};
 use lumenmesh::Error;
-use lumenmesh::fit::gpu::{GpuEngine, GpuError};
+use lumenmesh::fit::gpu::GpuEngine;
 use lumenmesh::fit::{AutoEngine, CpuEngine, Engine, Job, Track};
-use lumenmesh::settings::Settings;
+use lumenmesh::gpu::GpuError;
+use lumenmesh::settings::{Backend, Settings, Sweep as SweepSettings};
+use lumenmesh::sweep::Sweep;
+use lumenmesh::sweep::gpu::SweepEngine;
 use std::sync::mpsc;
 use std::time::Duration;
 
@@ -54,6 +57,37 @@ fn a_host_s_destroyed_device_fails_too() {
 }
 
 #[test]
+fn a_sweep_on_a_destroyed_device_fails() {
+    let Some(device) = open() else { return };
+    let (lost, queue) = (device.engine.device().clone(), device.engine.queue().clone());
+    let engine = SweepEngine::on_device(lost.clone(), queue).unwrap();
+    let pullback = recording(60, 40, 163);
+    Sweep::on_device(&pullback, &Settings::default(), &engine).unwrap();
+    lost.destroy();
+    in_time(move || {
+        let failed = Sweep::on_device(&pullback, &Settings::default(), &engine).unwrap_err();
+        assert!(matches!(failed, Error::Gpu(_)), "{failed}");
+    });
+}
+
+#[test]
+fn a_large_sweep_falls_back_to_the_cpu_and_says_why() {
+    let pullback = recording(150, 300, 167);
+    let sweep = SweepSettings { nodes: Some(512), ..SweepSettings::default() };
+    let settings = Settings { sweep, adapter: Some("no such adapter".into()), ..Settings::default() };
+    let fallen_back = Sweep::of(&pullback, &settings).unwrap();
+    let why = fallen_back.report.engine.why.unwrap();
+    assert!(fallen_back.report.engine.name == "cpu" && why.contains("no such adapter"), "{why}");
+    let settings = Settings { backend: Backend::Cpu, ..settings };
+    let on_cpu = Sweep::of(&pullback, &settings).unwrap();
+    assert_eq!(on_cpu.report.engine.why, None);
+    assert_eq!(fallen_back.radii_mm, on_cpu.radii_mm);
+    let settings = Settings { backend: Backend::Gpu, ..settings };
+    let failed = Sweep::of(&pullback, &settings).unwrap_err();
+    assert!(matches!(failed, Error::Gpu(GpuError::NoAdapter { .. })), "{failed}");
+}
+
+#[test]
 fn too_large_a_job_is_refused_with_both_numbers() {
     let Some(device) = device() else { return };
     let limits = device.engine.device().limits();
@@ -90,7 +124,7 @@ fn an_unknown_adapter_is_answered_with_those_that_are_there() {
     let failed = GpuEngine::new(Some("no such adapter")).err().expect("an adapter of that name");
     let message = failed.to_string();
     assert!(message.contains("\"no such adapter\""), "{message}");
-    for adapter in lumenmesh::fit::gpu::adapters() {
+    for adapter in lumenmesh::gpu::adapters() {
         assert!(message.contains(&adapter.name), "{message}");
     }
 }

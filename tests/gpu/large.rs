@@ -8,8 +8,8 @@ use crate::cylinders::assert_agree;
 use crate::device::device;
 use crate::sections::{RADIUS_MM, wall};
 use lumenmesh::Error;
-use lumenmesh::fit::gpu::GpuError;
 use lumenmesh::fit::{CpuEngine, Engine};
+use lumenmesh::gpu::GpuError;
 use lumenmesh::settings::Settings;
 use std::time::Instant;
 

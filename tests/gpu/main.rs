@@ -23,4 +23,7 @@ mod record;
 mod recordings;
 mod sections;
 mod shaders;
+mod sweep_order;
+mod sweep_passes;
+mod sweep_walls;
 mod update;

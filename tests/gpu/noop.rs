@@ -1,6 +1,8 @@
 //! Every pipeline is one that WebGPU's default limits allow: a device that computes nothing but checks all.
 
-use lumenmesh::fit::gpu::{GpuEngine, Requirements};
+use lumenmesh::fit::gpu::GpuEngine;
+use lumenmesh::gpu::Requirements;
+use lumenmesh::sweep::gpu::SweepEngine;
 
 #[test]
 fn every_pipeline_is_valid_within_the_default_limits() {
@@ -8,7 +10,8 @@ fn every_pipeline_is_valid_within_the_default_limits() {
     assert_eq!(requirements.limits, wgpu::Limits::default());
     assert!(requirements.features.is_empty());
     let (device, queue) = wgpu::Device::noop(&requirements.merged_into(wgpu::DeviceDescriptor::default()));
-    GpuEngine::on_device(device, queue).unwrap().warm_up().unwrap();
+    GpuEngine::on_device(device.clone(), queue.clone()).unwrap().warm_up().unwrap();
+    SweepEngine::on_device(device, queue).unwrap().warm_up().unwrap();
 }
 
 #[test]

@@ -3,9 +3,10 @@
 use crate::cylinders::assert_same;
 use crate::device::{Device, device, say};
 use crate::sections::{RADIUS_MM, recording, rows, wall};
-use lumenmesh::fit::gpu::{GpuEngine, PASSES, Requirements, Workspace};
+use lumenmesh::fit::gpu::{GpuEngine, PASSES, Workspace};
 use lumenmesh::fit::passes::Section;
 use lumenmesh::fit::{Engine, Job, Track, merged_frames};
+use lumenmesh::gpu::Requirements;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
 use std::cell::RefCell;
@@ -114,7 +115,8 @@ fn passes_are_timed_one_by_one_in_their_order() {
     });
     assert_eq!(found, device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().radii_mm);
     // The points of a single tube need no projection.
-    let names: Vec<&str> = PASSES.iter().map(|pass| pass.name).filter(|name| *name != "project").collect();
+    let names: Vec<&str> =
+        PASSES.iter().map(|pass| pass.shader.name).filter(|name| *name != "project").collect();
     let iterated = &names[6..11];
     assert_eq!((iterated[0], iterated[4]), ("measure_short", "update"));
     assert_eq!(*timed.borrow(), [&names[..6], iterated, iterated, &["support"]].concat());

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A file of the recorded data; `None`, said loudly, where that data is not there.
-fn shared(path: &str) -> Option<PathBuf> {
+pub fn shared(path: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("LUMENMESH_SHARED").unwrap_or_else(|| "../shared".into());
     let file = PathBuf::from(folder).join(path);
     if file.exists() {

@@ -1,15 +1,26 @@
 //! What is written in Rust and in WGSL says the same.
 
-use lumenmesh::fit::gpu::{Access, DeviceCylinder, DeviceJob, DevicePair, LANES, PASSES, Pass};
+use lumenmesh::fit::gpu::{DeviceCylinder, DeviceJob, DevicePair, LANES, PASSES};
 use lumenmesh::fit::passes::TriangleStatistic;
+use lumenmesh::gpu::{Access, Shader};
 use lumenmesh::settings::{Outliers, Settings, Statistic};
+use lumenmesh::sweep;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Expression, Handle, Literal, Module, StorageAccess, TypeInner};
 use std::collections::BTreeMap;
 use std::mem::offset_of;
 use std::path::{Path, PathBuf};
 
-fn module(pass: &Pass) -> Module {
+/// The passes of the cylinders' fit, and those of the sweep.
+fn fit() -> impl Iterator<Item = &'static Shader> {
+    PASSES.iter().map(|pass| &pass.shader)
+}
+
+fn sweep() -> impl Iterator<Item = &'static Shader> {
+    sweep::gpu::PASSES.iter().map(|pass| &pass.shader)
+}
+
+fn module(pass: &Shader) -> Module {
     let source = pass.source();
     let module = naga::front::wgsl::parse_str(&source)
         .unwrap_or_else(|error| panic!("{}: {}", pass.name, error.emit_to_string(&source)));
@@ -20,8 +31,8 @@ fn module(pass: &Pass) -> Module {
     module
 }
 
-fn row(name: &str) -> &'static Pass {
-    PASSES.iter().find(|pass| pass.name == name).unwrap()
+fn row(name: &str) -> &'static Shader {
+    fit().chain(sweep()).find(|pass| pass.name == name).unwrap()
 }
 
 fn wgsl_files(folder: &str) -> Vec<PathBuf> {
@@ -38,19 +49,21 @@ fn wgsl_files(folder: &str) -> Vec<PathBuf> {
 
 #[test]
 fn every_shader_file_is_a_pass_or_part_of_one_and_valid() {
-    for file in wgsl_files("shaders") {
-        let name = file.file_stem().unwrap().to_str().unwrap();
-        let pass = PASSES.iter().find(|pass| pass.name == name);
-        let pass = pass.unwrap_or_else(|| panic!("{} is in no row of PASSES", file.display()));
-        assert_eq!(pass.own_source, std::fs::read_to_string(&file).unwrap());
-        module(pass);
+    for (folder, passes) in [("shaders", fit().collect::<Vec<_>>()), ("shaders/sweep", sweep().collect())] {
+        for file in wgsl_files(folder) {
+            let name = file.file_stem().unwrap().to_str().unwrap();
+            let pass = passes.iter().find(|pass| pass.name == name);
+            let pass = pass.unwrap_or_else(|| panic!("{} is in no row of PASSES", file.display()));
+            assert_eq!(pass.own_source, std::fs::read_to_string(&file).unwrap());
+            module(pass);
+        }
+        for file in wgsl_files(&format!("{folder}/common")) {
+            let text = std::fs::read_to_string(&file).unwrap();
+            let used = passes.iter().any(|pass| pass.common.contains(&text.as_str()));
+            assert!(used, "no pass uses {}", file.display());
+        }
+        assert_eq!(passes.len(), wgsl_files(folder).len());
     }
-    for file in wgsl_files("shaders/common") {
-        let text = std::fs::read_to_string(&file).unwrap();
-        let used = PASSES.iter().any(|pass| pass.common.contains(&text.as_str()));
-        assert!(used, "no pass uses {}", file.display());
-    }
-    assert_eq!(PASSES.len(), wgsl_files("shaders").len());
 }
 
 #[test]
@@ -67,7 +80,7 @@ fn a_shader_with_a_mistake_is_refused() {
 
 #[test]
 fn bindings_are_those_of_the_pass_table() {
-    for pass in &PASSES {
+    for pass in fit().chain(sweep()) {
         let module = module(pass);
         let mut found = BTreeMap::new();
         for (_, variable) in module.global_variables.iter() {
@@ -90,7 +103,7 @@ fn bindings_are_those_of_the_pass_table() {
 #[test]
 fn workgroups_are_those_of_the_pass_table_and_fit_the_default_limits() {
     let limits = wgpu::Limits::default();
-    for pass in &PASSES {
+    for pass in fit().chain(sweep()) {
         let module = module(pass);
         let [entry] = &module.entry_points[..] else { panic!("{}: one entry point", pass.name) };
         assert_eq!((entry.name.as_str(), entry.stage), ("main", naga::ShaderStage::Compute));
@@ -133,13 +146,35 @@ fn structures_have_the_same_layout() {
         half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, short_most, pairs);
     let cylinder = fields!(DeviceCylinder: gate_low, gate_high, scale, unit);
     let statistic = fields!(TriangleStatistic<f32>: value, kept, residual);
-    for pass in &PASSES {
+    for pass in fit() {
         assert_eq!(layout(&module(pass), "Job"), job, "{}", pass.name);
     }
     assert_eq!(layout(&module(row("project")), "Cylinder"), cylinder);
     assert_eq!(layout(&module(row("support")), "TriangleStatistic"), statistic);
 
     // A vector of three numbers is three numbers in the shader, where its own would be aligned to 16 bytes.
+    let flat = |fields: Vec<(String, u32)>, vector: &str, names: [&str; 3]| {
+        let places =
+            |offset| names.into_iter().zip([0, 4, 8]).map(move |(n, at)| (n.to_owned(), offset + at));
+        let of = |(name, offset): (String, u32)| match name == vector {
+            true => places(offset).collect::<Vec<_>>(),
+            false => vec![(name, offset)],
+        };
+        fields.into_iter().flat_map(of).collect::<Vec<_>>()
+    };
+    let (size, fields) = fields!(sweep::passes::Echo: ring, ring_part, node, node_part, rise, step, normal);
+    let echo = (size, flat(fields, "normal", ["normal_x", "normal_y", "normal_z"]));
+    let state = fields!(sweep::passes::State: prefix, rest, round, done, steps, size, length, turn);
+    let job = fields!(sweep::passes::Job: rings, nodes, node_count, echoes, feet, gated, blocks,
+        block_rings, start, step_theta, per_node, in_plane, noise, per_noise, farthest_foot, gate, gate_radii,
+        huber, weight_scale, weight_unit, way_scale, way_unit, along, around, twist, enough, short, long);
+    for pass in self::sweep() {
+        let module = module(pass);
+        assert_eq!(layout(&module, "Job"), job, "{}", pass.name);
+        assert_eq!(layout(&module, "Echo"), echo, "{}", pass.name);
+        assert_eq!(layout(&module, "State"), state, "{}", pass.name);
+    }
+
     let (size, fields) = layout(&module(row("project")), "Pair");
     assert_eq!(size as usize, size_of::<DevicePair>());
     let mut expected = Vec::new();

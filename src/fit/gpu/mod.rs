@@ -4,17 +4,13 @@
 //! [`GpuEngine::prepare`] makes a [`Workspace`] whose points a host puts on the device itself;
 //! [`GpuEngine::record`] puts the passes into the host's command encoder.
 
-mod context;
-mod error;
 mod job;
 mod pass;
 mod stages;
 mod workspace;
 
-pub use context::{AdapterDescription, Requirements, adapters};
-pub use error::GpuError;
 pub use job::{DeviceCylinder, DeviceJob, DevicePair};
-pub use pass::{Access, Items, LANES, PASSES, Pass, Stage};
+pub use pass::{Items, LANES, PASSES, Pass, Stage};
 pub use stages::CpuStages;
 pub use workspace::Workspace;
 
@@ -22,24 +18,24 @@ use super::cpu::residual_mm;
 use super::passes::Section;
 use super::track::empty_section;
 use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job, check_section};
+use crate::Result;
+use crate::gpu::{AdapterDescription, Context, GpuError, Pipeline, checked};
 use crate::settings::Settings;
 use crate::tube::Tube;
-use crate::{Error, Result};
-use context::{Context, checked};
-use pass::Pipeline;
 use rayon::prelude::*;
 use std::ops::Range;
-use std::sync::mpsc;
-use std::time::Duration;
 use workspace::{Points, Timer};
 
-/// How long a batch may take before the device is given up.
-const PATIENCE: Duration = Duration::from_secs(120);
+/// A pass made ready on a device.
+struct ReadyPass {
+    pass: &'static Pass,
+    pipeline: Pipeline,
+}
 
 /// Fits cylinders on the device.
 pub struct GpuEngine {
     context: Context,
-    pipelines: Vec<Pipeline>,
+    passes: Vec<ReadyPass>,
     cpu_stages: CpuStages,
 }
 
@@ -47,25 +43,25 @@ impl GpuEngine {
     /// The engine on the adapter whose name contains `adapter` (without regard to case), or on the best one.
     ///
     /// # Errors
-    /// [`Error::Gpu`] where there is no such adapter or it refuses a shader.
+    /// [`Error::Gpu`](crate::Error::Gpu) where there is no such adapter or it refuses a shader.
     pub fn new(adapter: Option<&str>) -> Result<Self> {
         Self::on(Context::new(adapter)?)
     }
 
-    /// The engine on a host's device, which must meet [`Requirements`]. No handler of the host's is replaced.
+    /// The engine on a host's device, which must meet [`Requirements`](crate::gpu::Requirements). No handler of the host's is replaced.
     ///
     /// # Errors
-    /// [`Error::Gpu`] where the device refuses a shader.
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses a shader.
     pub fn on_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         Self::on(Context::of_host(device, queue))
     }
 
     fn on(context: Context) -> Result<Self> {
-        let pipelines = PASSES
+        let passes = PASSES
             .iter()
-            .map(|pass| Pipeline::new(&context.device, pass))
+            .map(|pass| Ok(ReadyPass { pass, pipeline: Pipeline::new(&context.device, &pass.shader)? }))
             .collect::<Result<Vec<_>, GpuError>>()?;
-        Ok(Self { context, pipelines, cpu_stages: CpuStages::None })
+        Ok(Self { context, passes, cpu_stages: CpuStages::None })
     }
 
     /// The same engine, but [`fit`](Engine::fit) and [`fit_section`](Engine::fit_section) compute the first
@@ -95,26 +91,21 @@ impl GpuEngine {
     /// Builds every pipeline now rather than when it is first needed.
     ///
     /// # Errors
-    /// [`Error::Gpu`] where the device refuses one.
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses one.
     pub fn warm_up(&self) -> Result<()> {
-        for pipeline in &self.pipelines {
-            for lanes in LANES {
-                pipeline.get(&self.context.device, lanes)?;
-            }
-        }
-        Ok(())
+        Ok(self.passes.iter().try_for_each(|ready| ready.pipeline.warm_up(&self.context.device))?)
     }
 
     /// Device memory for a tube of that radius and so many points, which the host writes to
     /// [`Workspace::section`].
     ///
     /// # Errors
-    /// Where settings are invalid, and [`Error::Gpu`] where the job does not fit the device.
+    /// Where settings are invalid, and [`Error::Gpu`](crate::Error::Gpu) where the job does not fit the device.
     pub fn prepare(&self, points: u32, radius_mm: f64, settings: &Settings) -> Result<Workspace> {
         settings.validate()?;
         check_section(&Section::default(), radius_mm)?;
         let points = Points::Section { count: points };
-        Ok(Workspace::new(&self.context, &self.pipelines, settings, &[radius_mm], &points, false)?)
+        Ok(Workspace::new(&self.context, &self.passes, settings, &[radius_mm], &points, false)?)
     }
 
     /// Records the whole fit of a workspace into a command encoder. Nothing is submitted.
@@ -123,10 +114,9 @@ impl GpuEngine {
     /// driver keeps its faces below a million points, or fits through [`Engine`].
     ///
     /// # Errors
-    /// [`Error::Gpu`] where the device refuses a pipeline.
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses a pipeline.
     pub fn record(&self, workspace: &Workspace, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
-        Ok(workspace
-            .record(&self.context, &self.pipelines, encoder, CpuStages::None, false, &mut |_| None)?)
+        Ok(workspace.record(&self.context, &self.passes, encoder, CpuStages::None, false, &mut |_| None)?)
     }
 
     /// As [`GpuEngine::record`], each pass in a compute pass of its own with the timestamps that `timer` gives
@@ -141,13 +131,13 @@ impl GpuEngine {
         timer: &mut (dyn FnMut(&'static str) -> Option<wgpu::ComputePassTimestampWrites<'a>> + 'a),
     ) -> Result<()> {
         let timer: &mut Timer<'a> = timer;
-        Ok(workspace.record(&self.context, &self.pipelines, encoder, CpuStages::None, false, timer)?)
+        Ok(workspace.record(&self.context, &self.passes, encoder, CpuStages::None, false, timer)?)
     }
 
     /// Device memory for the cylinders of a job, a workspace a batch, with the points on the device.
     ///
     /// # Errors
-    /// Where settings are invalid or a frame has no cylinder, and [`Error::Gpu`] where the job does not fit the
+    /// Where settings are invalid or a frame has no cylinder, and [`Error::Gpu`](crate::Error::Gpu) where the job does not fit the
     /// device.
     pub fn prepare_job(&self, job: &Job) -> Result<Vec<Workspace>> {
         job.settings.validate()?;
@@ -160,7 +150,7 @@ impl GpuEngine {
     /// Outputs that are not among the inputs are filled with ones before, so that what a pass leaves out shows.
     ///
     /// # Errors
-    /// [`Error::Gpu`] where there is no such pass or buffer, or the device fails.
+    /// [`Error::Gpu`](crate::Error::Gpu) where there is no such pass or buffer, or the device fails.
     pub fn run_pass(
         &self,
         workspace: &Workspace,
@@ -168,10 +158,10 @@ impl GpuEngine {
         inputs: &[(&str, &[u8])],
         outputs: &[&str],
     ) -> Result<Vec<Vec<u8>>> {
-        let pipeline = self.pipelines.iter().find(|p| p.pass.name == pass);
+        let ready = self.passes.iter().find(|ready| ready.pass.shader.name == pass);
         let unknown =
             |what: &str| GpuError::Refused { what: what.into(), reason: "no such pass or buffer".into() };
-        let pipeline = pipeline.ok_or_else(|| unknown(pass))?;
+        let ready = ready.ok_or_else(|| unknown(pass))?;
         for name in inputs.iter().map(|(name, _)| name).chain(outputs) {
             workspace.has(name).then_some(()).ok_or_else(|| unknown(name))?;
         }
@@ -182,7 +172,7 @@ impl GpuEngine {
         for (name, bytes) in inputs {
             checked(&self.context.device, name, || workspace.write(&self.context, name, bytes))?;
         }
-        Ok(self.run(workspace, outputs, |encoder| workspace.record_one(&self.context, pipeline, encoder))?)
+        Ok(self.run(workspace, outputs, |encoder| workspace.record_one(&self.context, ready, encoder))?)
     }
 
     /// Submits what `record` records and reads some of a workspace's buffers back, whole.
@@ -192,55 +182,8 @@ impl GpuEngine {
         names: &[&str],
         record: impl FnOnce(&mut wgpu::CommandEncoder) -> Result<(), GpuError>,
     ) -> Result<Vec<Vec<u8>>, GpuError> {
-        let device = &self.context.device;
-        let mut copies = Vec::new();
-        let submission = checked(device, "submission", || -> Result<_, GpuError> {
-            let mut encoder = device.create_command_encoder(&Default::default());
-            record(&mut encoder)?;
-            for name in names {
-                let from = workspace.buffer(name);
-                let copy = device.create_buffer(&wgpu::BufferDescriptor {
-                    label: Some("readback"),
-                    size: from.size(),
-                    usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-                    mapped_at_creation: false,
-                });
-                encoder.copy_buffer_to_buffer(from, 0, &copy, 0, Some(from.size()));
-                copies.push(copy);
-            }
-            Ok(self.context.queue.submit([encoder.finish()]))
-        })
-        .map_err(|error| match error {
-            GpuError::OutOfMemory { reason, .. } => {
-                GpuError::OutOfMemory { needed: workspace.bytes(), reason }
-            }
-            other => other,
-        })??;
-        let (sender, receiver) = mpsc::channel();
-        for copy in &copies {
-            let sender = sender.clone();
-            copy.slice(..).map_async(wgpu::MapMode::Read, move |mapped| {
-                // The receiver is gone only where the wait below has failed already.
-                let _ = sender.send(mapped);
-            });
-        }
-        self.context.wait(submission, PATIENCE)?;
-        for _ in &copies {
-            // Where several threads use the device, another one's wait may be the one that tells of our results,
-            // a moment after ours has returned.
-            match receiver.recv_timeout(PATIENCE) {
-                Ok(Ok(())) => {}
-                Ok(Err(error)) => return Err(GpuError::Lost { reason: error.to_string() }),
-                Err(_) => return Err(GpuError::Timeout { seconds: PATIENCE.as_secs() }),
-            }
-        }
-        copies
-            .iter()
-            .map(|copy| match copy.slice(..).get_mapped_range() {
-                Ok(view) => Ok(view.to_vec()),
-                Err(error) => Err(GpuError::Lost { reason: error.to_string() }),
-            })
-            .collect()
+        let buffers: Vec<&wgpu::Buffer> = names.iter().map(|name| workspace.buffer(name)).collect();
+        self.context.run(workspace.bytes(), &buffers, record)
     }
 
     /// Runs a workspace and takes its tubes apart; with the sections of its cylinders, after the CPU's stages.
@@ -265,7 +208,7 @@ impl GpuEngine {
         let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "long_faces", "history"];
         let names = if history { &names[..] } else { &names[..7] };
         let read = self.run(workspace, names, |encoder| {
-            workspace.record(&self.context, &self.pipelines, encoder, done, history, &mut |_| None)
+            workspace.record(&self.context, &self.passes, encoder, done, history, &mut |_| None)
         })?;
         let words = |k: usize| bytemuck::pod_collect_to_vec::<u8, u32>(&read[k]);
         let numbers = |k: usize| bytemuck::pod_collect_to_vec::<u8, f32>(&read[k]);
@@ -402,8 +345,8 @@ impl GpuEngine {
         let points: Vec<[f32; 2]> =
             job.track.echoes_mm()[batch.points.clone()].iter().map(|p| [p.x as f32, p.y as f32]).collect();
         let points = Points::Pairs { points: &points, pairs: &batch.pairs };
-        let (context, pipelines) = (&self.context, &self.pipelines);
-        Ok(Workspace::new(context, pipelines, job.settings, &batch.radii_mm, &points, job.history)?)
+        let (context, passes) = (&self.context, &self.passes);
+        Ok(Workspace::new(context, passes, job.settings, &batch.radii_mm, &points, job.history)?)
     }
 
     /// The sections of a batch's cylinders, from the CPU.
@@ -468,11 +411,5 @@ impl Engine for GpuEngine {
         };
         tube.gated = section.gated;
         Ok(tube)
-    }
-}
-
-impl From<GpuError> for Error {
-    fn from(error: GpuError) -> Self {
-        Error::Gpu(error)
     }
 }

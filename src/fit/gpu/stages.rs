@@ -1,10 +1,10 @@
 //! The first stages of a fit on the CPU, to find the one in which a device diverges.
 
-use super::context::Context;
-use super::{GpuError, Workspace};
+use super::Workspace;
 use crate::fit::DeformedTube;
 use crate::fit::cpu::Deformation;
 use crate::fit::passes::Section;
+use crate::gpu::{Context, GpuError, checked};
 use crate::settings::Settings;
 
 /// How far a fit runs on the CPU before the device takes over.
@@ -68,9 +68,8 @@ pub(super) fn begin(
     history: bool,
     sections: &[Section<f32>],
 ) -> Result<Vec<Begun>, GpuError> {
-    let write = |name: &str, bytes: &[u8]| {
-        super::checked(&context.device, name, || workspace.write(context, name, bytes))
-    };
+    let write =
+        |name: &str, bytes: &[u8]| checked(&context.device, name, || workspace.write(context, name, bytes));
     if stages == CpuStages::None {
         return Ok(Vec::new());
     }

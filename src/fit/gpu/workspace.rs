@@ -1,8 +1,8 @@
 //! The buffers of a batch and the recording of its passes.
 
-use super::context::{Context, checked};
-use super::pass::{Items, LANES, Pass, Pipeline, Stage};
-use super::{CpuStages, DeviceCylinder, DeviceJob, DevicePair, GpuError};
+use super::pass::{Items, LANES, Pass, Stage};
+use super::{CpuStages, DeviceCylinder, DeviceJob, DevicePair, ReadyPass};
+use crate::gpu::{Buffers, Context, GpuError};
 use crate::settings::Settings;
 use std::collections::BTreeMap;
 
@@ -23,8 +23,7 @@ pub struct Workspace {
     iterations: u32,
     lanes: u32,
     long_groups: u32,
-    bytes: u64,
-    buffers: BTreeMap<&'static str, wgpu::Buffer>,
+    buffers: Buffers,
     /// Bind groups by pass, `update`'s by iteration.
     bind_groups: BTreeMap<&'static str, Vec<wgpu::BindGroup>>,
     travel_stride: u64,
@@ -82,10 +81,20 @@ pub(super) fn lanes(slots: u64, faces: u64) -> u32 {
     LANES.into_iter().find(|&l| u64::from(l) >= half).unwrap_or(LANES[LANES.len() - 1])
 }
 
+/// How many workgroups share the long faces, of which there are `long_most` at most: enough to fill a GPU, and
+/// on software, where a workgroup costs microseconds even if nothing is left for it to do, a few for each thread.
+///
+/// None gets more than 128 faces: llvmpipe ends an invocation's loops, without a word, after 65,535 rounds of
+/// all of them together, and a face takes about a hundred beside those over its points.
+fn long_groups(context: &Context, long_most: u64) -> u64 {
+    let groups = if context.is_software() { 2 * rayon::current_num_threads() as u64 } else { 1024 };
+    groups.max(long_most.div_ceil(128)).min(long_most)
+}
+
 impl Workspace {
     pub(super) fn new(
         context: &Context,
-        pipelines: &[Pipeline],
+        passes: &[ReadyPass],
         settings: &Settings,
         radii_mm: &[f64],
         points: &Points,
@@ -112,72 +121,25 @@ impl Workspace {
         let alignment = u64::from(limits.min_storage_buffer_offset_alignment);
         let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
         let sizes = sizes(&job, point_count, settings.iterations, history, travel_stride);
-        let bytes = sizes.iter().map(|(_, size)| size).sum();
-        let allowed = |name: &str| match name {
-            "history" => limits.max_buffer_size,
-            _ => limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
-        };
-        let too_large = sizes.iter().rev().filter(|(name, size)| *size > allowed(name));
-        if let Some((name, needed)) = too_large.max_by_key(|(_, size)| size) {
-            return Err(GpuError::TooLarge { name: (*name).into(), needed: *needed, allowed: allowed(name) });
-        }
-        context.alive()?;
-
-        let device = &context.device;
-        let buffers: BTreeMap<&'static str, wgpu::Buffer> = checked(device, "buffers", || {
-            sizes
-                .iter()
-                .map(|&(name, size)| {
-                    use wgpu::BufferUsages as Usage;
-                    let usage = if name == "job" { Usage::UNIFORM } else { Usage::STORAGE };
-                    let buffer = device.create_buffer(&wgpu::BufferDescriptor {
-                        label: Some(name),
-                        // A binding of no bytes is an error.
-                        size: size.max(16).next_multiple_of(4),
-                        usage: usage | Usage::COPY_DST | Usage::COPY_SRC,
-                        mapped_at_creation: false,
-                    });
-                    (name, buffer)
-                })
-                .collect()
-        })
-        .map_err(|error| match error {
-            GpuError::OutOfMemory { reason, .. } => GpuError::OutOfMemory { needed: bytes, reason },
-            other => other,
-        })?;
+        let buffers = Buffers::new(context, &sizes, &["history"])?;
 
         let mut bind_groups = BTreeMap::new();
-        for pipeline in pipelines {
-            let pass = pipeline.pass;
-            let repeats = if pass.name == "update" { settings.iterations } else { 1 };
-            let groups = checked(device, pass.name, || {
-                (0..repeats)
-                    .map(|iteration| {
-                        let entries: Vec<_> = pass
-                            .bindings
-                            .iter()
-                            .enumerate()
-                            .map(|(binding, (name, _))| wgpu::BindGroupEntry {
-                                binding: binding as u32,
-                                resource: match *name {
-                                    "travels" => wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                                        buffer: &buffers[name],
-                                        offset: travel_stride * u64::from(iteration),
-                                        size: None,
-                                    }),
-                                    _ => buffers[name].as_entire_binding(),
-                                },
-                            })
-                            .collect();
-                        device.create_bind_group(&wgpu::BindGroupDescriptor {
-                            label: Some(pass.name),
-                            layout: &pipeline.layout,
-                            entries: &entries,
-                        })
+        for ReadyPass { pass, pipeline } in passes {
+            let name = pass.shader.name;
+            let repeats = if name == "update" { settings.iterations } else { 1 };
+            let groups = (0..repeats)
+                .map(|iteration| {
+                    pipeline.bind(&context.device, |name| match name {
+                        "travels" => wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                            buffer: &buffers[name],
+                            offset: travel_stride * u64::from(iteration),
+                            size: None,
+                        }),
+                        _ => buffers[name].as_entire_binding(),
                     })
-                    .collect::<Vec<_>>()
-            })?;
-            bind_groups.insert(pass.name, groups);
+                })
+                .collect::<Result<Vec<_>, GpuError>>()?;
+            bind_groups.insert(name, groups);
         }
 
         let long_most = slots / u64::from(job.short_most + 1);
@@ -185,8 +147,7 @@ impl Workspace {
             job,
             iterations: settings.iterations,
             lanes,
-            long_groups: context.long_groups(long_most) as u32,
-            bytes,
+            long_groups: long_groups(context, long_most) as u32,
             buffers,
             bind_groups,
             travel_stride,
@@ -206,14 +167,12 @@ impl Workspace {
     }
 
     pub(super) fn write(&self, context: &Context, name: &str, bytes: &[u8]) {
-        if !bytes.is_empty() {
-            context.queue.write_buffer(&self.buffers[name], 0, bytes);
-        }
+        context.write(&self.buffers[name], bytes);
     }
 
     /// Whether there is a buffer of that name.
     pub(super) fn has(&self, name: &str) -> bool {
-        self.buffers.contains_key(name)
+        self.buffers.find(name).is_some()
     }
 
     /// A buffer by its name in the pass table.
@@ -233,7 +192,7 @@ impl Workspace {
 
     /// Device memory of all buffers, bytes.
     pub fn bytes(&self) -> u64 {
-        self.bytes
+        self.buffers.bytes()
     }
 
     /// r (mm), θ (rad) and z (mm) of each point, f32 ×3, where a host writes its points.
@@ -248,7 +207,7 @@ impl Workspace {
 
     /// How many workgroups a pass needs: two dimensions and the cylinders.
     fn groups(&self, pass: &Pass) -> [u32; 3] {
-        let (job, size) = (&self.job, pass.workgroup_size);
+        let (job, size) = (&self.job, pass.shader.workgroup_size);
         let all_faces = job.cylinders * job.faces;
         let (count, layers) = match pass.items {
             Items::Pairs => (job.pairs, 1),
@@ -270,17 +229,17 @@ impl Workspace {
     fn dispatch(
         &self,
         context: &Context,
-        pipeline: &Pipeline,
+        ready: &ReadyPass,
         iteration: u32,
         compute: &mut wgpu::ComputePass,
     ) -> Result<(), GpuError> {
-        let [x, y, z] = self.groups(pipeline.pass);
-        let bind_groups = &self.bind_groups[pipeline.pass.name];
+        let [x, y, z] = self.groups(ready.pass);
+        let bind_groups = &self.bind_groups[ready.pass.shader.name];
         // All but `update` bind the same in every iteration.
         if x > 0
             && let Some(bind_group) = bind_groups.get(iteration as usize).or(bind_groups.first())
         {
-            compute.set_pipeline(pipeline.get(&context.device, self.lanes)?);
+            compute.set_pipeline(ready.pipeline.get(&context.device, self.lanes)?);
             compute.set_bind_group(0, bind_group, &[]);
             compute.dispatch_workgroups(x, y, z);
         }
@@ -291,10 +250,10 @@ impl Workspace {
     pub(super) fn record_one(
         &self,
         context: &Context,
-        pipeline: &Pipeline,
+        ready: &ReadyPass,
         encoder: &mut wgpu::CommandEncoder,
     ) -> Result<(), GpuError> {
-        self.dispatch(context, pipeline, 0, &mut encoder.begin_compute_pass(&Default::default()))
+        self.dispatch(context, ready, 0, &mut encoder.begin_compute_pass(&Default::default()))
     }
 
     /// Records the fit behind the stages that ran on the CPU and whose results the buffers hold: grouping, all
@@ -302,7 +261,7 @@ impl Workspace {
     pub(super) fn record(
         &self,
         context: &Context,
-        pipelines: &[Pipeline],
+        passes: &[ReadyPass],
         encoder: &mut wgpu::CommandEncoder,
         done: CpuStages,
         history: bool,
@@ -335,7 +294,7 @@ impl Workspace {
             Stage::Group => done >= CpuStages::Group,
             _ => false,
         };
-        let of = |stage: Stage| pipelines.iter().filter(move |p| p.pass.stage == stage && !is_done(stage));
+        let of = |stage: Stage| passes.iter().filter(move |p| p.pass.stage == stage && !is_done(stage));
         let before = [Stage::Project, Stage::Group, Stage::Classify].into_iter().flat_map(of).map(|p| (p, 0));
         let iterations = done.iterations()..self.iterations;
         let iterated = iterations.flat_map(|i| of(Stage::Iterate).map(move |p| (p, i)));
@@ -343,16 +302,16 @@ impl Workspace {
 
         let mut steps = before.chain(iterated).chain(after).peekable();
         while let Some((first, _)) = steps.peek() {
-            let timestamp_writes = timer(first.pass.name);
+            let timestamp_writes = timer(first.pass.shader.name);
             let timed = timestamp_writes.is_some();
             let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                 label: Some("lumenmesh fit"),
                 timestamp_writes,
             });
             let mut finished = None;
-            for (pipeline, iteration) in steps.by_ref() {
-                self.dispatch(context, pipeline, iteration, &mut compute)?;
-                let ends_iteration = pipeline.pass.name == "update";
+            for (ready, iteration) in steps.by_ref() {
+                self.dispatch(context, ready, iteration, &mut compute)?;
+                let ends_iteration = ready.pass.shader.name == "update";
                 finished = ends_iteration.then_some(iteration + 1);
                 // A timed pass stands alone; the history is copied between iterations.
                 if timed || (history && ends_iteration) {

@@ -60,10 +60,34 @@ pub enum GpuError {
         /// Faces that should have been.
         expected: u32,
     },
+    /// The device computed something that cannot be: a defect of this program or of the driver.
+    #[error("the device computed {found} for the {what}; use the CPU for these")]
+    Wrong {
+        /// What it computed.
+        what: &'static str,
+        /// The value.
+        found: String,
+    },
     /// The device is gone.
     #[error("the device was lost: {reason}")]
     Lost {
         /// What the driver said.
         reason: String,
     },
+}
+
+impl GpuError {
+    /// The error of a call for a job that takes so many bytes of the device's memory.
+    pub(crate) fn of_a_job(self, bytes: u64) -> Self {
+        match self {
+            Self::OutOfMemory { reason, .. } => Self::OutOfMemory { needed: bytes, reason },
+            other => other,
+        }
+    }
+}
+
+impl From<GpuError> for crate::Error {
+    fn from(error: GpuError) -> Self {
+        crate::Error::Gpu(error)
+    }
 }

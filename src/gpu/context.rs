@@ -2,8 +2,11 @@
 
 use super::GpuError;
 use serde::Serialize;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
+
+/// How long a submission may take before the device is given up.
+const PATIENCE: Duration = Duration::from_secs(120);
 
 /// An adapter as a person would want it described.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -126,17 +129,17 @@ impl Default for Requirements {
 }
 
 /// A device and its queue.
-pub(super) struct Context {
-    pub(super) device: wgpu::Device,
-    pub(super) queue: wgpu::Queue,
-    pub(super) adapter: Option<AdapterDescription>,
+pub(crate) struct Context {
+    pub(crate) device: wgpu::Device,
+    pub(crate) queue: wgpu::Queue,
+    pub(crate) adapter: Option<AdapterDescription>,
     /// What a device of our own reported outside any call.
     report: Arc<Mutex<Option<String>>>,
 }
 
 impl Context {
     /// A device of our own on the adapter whose name contains `name`, or on the best one.
-    pub(super) fn new(name: Option<&str>) -> Result<Self, GpuError> {
+    pub(crate) fn new(name: Option<&str>) -> Result<Self, GpuError> {
         let found = enumerate();
         let names = found.iter().map(|(d, _)| format!("{:?}", d.name)).collect::<Vec<_>>().join(", ");
         let wanted = |description: &AdapterDescription| {
@@ -168,47 +171,92 @@ impl Context {
     }
 
     /// On a host's device, whose handlers stay the host's.
-    pub(super) fn of_host(device: wgpu::Device, queue: wgpu::Queue) -> Self {
+    pub(crate) fn of_host(device: wgpu::Device, queue: wgpu::Queue) -> Self {
         Self { device, queue, adapter: None, report: Arc::default() }
     }
 
-    /// How many workgroups share the long faces, of which there are `long_most` at most: enough to fill a GPU, and
-    /// on software, where a workgroup costs microseconds even if nothing is left for it to do, a few for each thread.
-    ///
-    /// None gets more than 128 faces: llvmpipe ends an invocation's loops, without a word, after 65,535 rounds of
-    /// all of them together, and a face takes about a hundred beside those over its points.
-    pub(super) fn long_groups(&self, long_most: u64) -> u64 {
-        let groups = match &self.adapter {
-            Some(adapter) if adapter.is_software() => 2 * rayon::current_num_threads() as u64,
-            _ => 1024,
-        };
-        groups.max(long_most.div_ceil(128)).min(long_most)
+    /// Whether the device is a program on the CPU, as far as it is known.
+    pub(crate) fn is_software(&self) -> bool {
+        self.adapter.as_ref().is_some_and(AdapterDescription::is_software)
     }
 
     /// Fails where the device has reported something outside any call.
-    pub(super) fn alive(&self) -> Result<(), GpuError> {
+    pub(crate) fn alive(&self) -> Result<(), GpuError> {
         match self.report.lock().unwrap_or_else(PoisonError::into_inner).clone() {
             Some(reason) => Err(GpuError::Lost { reason }),
             None => Ok(()),
         }
     }
 
+    /// Submits what `record` records and reads some buffers back, whole. `needed` is what the job takes of the
+    /// device's memory, in bytes.
+    pub(crate) fn run(
+        &self,
+        needed: u64,
+        buffers: &[&wgpu::Buffer],
+        record: impl FnOnce(&mut wgpu::CommandEncoder) -> Result<(), GpuError>,
+    ) -> Result<Vec<Vec<u8>>, GpuError> {
+        let device = &self.device;
+        let mut copies = Vec::new();
+        let submission = checked(device, "submission", || -> Result<_, GpuError> {
+            let mut encoder = device.create_command_encoder(&Default::default());
+            record(&mut encoder)?;
+            for from in buffers {
+                let copy = device.create_buffer(&wgpu::BufferDescriptor {
+                    label: Some("readback"),
+                    size: from.size(),
+                    usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                    mapped_at_creation: false,
+                });
+                encoder.copy_buffer_to_buffer(from, 0, &copy, 0, Some(from.size()));
+                copies.push(copy);
+            }
+            Ok(self.queue.submit([encoder.finish()]))
+        })
+        .map_err(|error| error.of_a_job(needed))??;
+        let (sender, receiver) = mpsc::channel();
+        for copy in &copies {
+            let sender = sender.clone();
+            copy.slice(..).map_async(wgpu::MapMode::Read, move |mapped| {
+                // The receiver is gone only where the wait below has failed already.
+                let _ = sender.send(mapped);
+            });
+        }
+        self.wait(submission)?;
+        for _ in &copies {
+            // Where several threads use the device, another one's wait may be the one that tells of our results,
+            // a moment after ours has returned.
+            match receiver.recv_timeout(PATIENCE) {
+                Ok(Ok(())) => {}
+                Ok(Err(error)) => return Err(GpuError::Lost { reason: error.to_string() }),
+                Err(_) => return Err(GpuError::Timeout { seconds: PATIENCE.as_secs() }),
+            }
+        }
+        copies
+            .iter()
+            .map(|copy| match copy.slice(..).get_mapped_range() {
+                Ok(view) => Ok(view.to_vec()),
+                Err(error) => Err(GpuError::Lost { reason: error.to_string() }),
+            })
+            .collect()
+    }
+
     /// Waits for a submission, but not for ever.
-    pub(super) fn wait(&self, submission: wgpu::SubmissionIndex, timeout: Duration) -> Result<(), GpuError> {
+    fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), GpuError> {
         let poll = self
             .device
-            .poll(wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(timeout) });
+            .poll(wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) });
         self.alive()?;
         match poll {
             Ok(_) => Ok(()),
-            Err(wgpu::PollError::Timeout) => Err(GpuError::Timeout { seconds: timeout.as_secs() }),
+            Err(wgpu::PollError::Timeout) => Err(GpuError::Timeout { seconds: PATIENCE.as_secs() }),
             Err(other) => Err(GpuError::Lost { reason: other.to_string() }),
         }
     }
 }
 
 /// Runs calls on the device and returns what they made, unless the device refuses one.
-pub(super) fn checked<T>(
+pub(crate) fn checked<T>(
     device: &wgpu::Device,
     what: &str,
     calls: impl FnOnce() -> T,

@@ -1,0 +1,22 @@
+// A step along the direction.
+
+@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(1) var<storage, read> state: State;
+@group(0) @binding(2) var<storage, read> direction: array<f32>;
+@group(0) @binding(3) var<storage, read> product: array<f32>;
+@group(0) @binding(4) var<storage, read_write> change: array<f32>;
+@group(0) @binding(5) var<storage, read_write> residual: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let node = workgroup_index(group, groups) * 256u + local;
+    if (state.done != 0u || node >= job.node_count) {
+        return;
+    }
+    change[node] += state.length * direction[node];
+    residual[node] -= state.length * product[node];
+}

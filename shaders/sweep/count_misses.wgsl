@@ -1,0 +1,36 @@
+// How many misses have each next digit, among those whose first digits are known.
+
+@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(1) var<storage, read> misses: array<f32>;
+@group(0) @binding(2) var<storage, read> state: State;
+@group(0) @binding(3) var<storage, read_write> counts: array<atomic<u32>>;
+
+var<workgroup> own_counts: array<atomic<u32>, 256>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    atomicStore(&own_counts[local], 0u);
+    workgroupBarrier();
+    let shift = 24u - 8u * state.round;
+    // Sixteen a invocation, so that the workgroup's own counts are worth it.
+    let first = workgroup_index(group, groups) * 4096u + local;
+    for (var turn = 0u; turn < 16u; turn++) {
+        let index = first + 256u * turn;
+        if (index < job.echoes) {
+            let key = bitcast<u32>(misses[index]) & 0x7fffffffu;
+            // What lies above the digit; a shift by 32 is not defined.
+            if ((key >> shift) >> 8u == (state.prefix >> shift) >> 8u) {
+                atomicAdd(&own_counts[(key >> shift) & 0xffu], 1u);
+            }
+        }
+    }
+    workgroupBarrier();
+    let count = atomicLoad(&own_counts[local]);
+    if (count > 0u) {
+        atomicAdd(&counts[local], count);
+    }
+}

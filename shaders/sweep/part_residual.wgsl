@@ -1,0 +1,25 @@
+// The residual, ring by ring: first half of its transform into waves about the axis.
+
+@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(1) var<storage, read> state: State;
+// cos and sin at each node's angle.
+@group(0) @binding(2) var<storage, read> waves: array<vec2f>;
+@group(0) @binding(3) var<storage, read> residual: array<f32>;
+@group(0) @binding(4) var<storage, read_write> parts: array<vec2f>;
+
+fn value(node: u32) -> f32 {
+    return residual[node];
+}
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let node = workgroup_index(group, groups) * 256u + local;
+    if (state.done != 0u || node >= job.node_count) {
+        return;
+    }
+    parts[node] = part(node / job.nodes, node % job.nodes);
+}

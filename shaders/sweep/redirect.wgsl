@@ -1,0 +1,19 @@
+// The next direction.
+
+@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(1) var<storage, read> state: State;
+@group(0) @binding(2) var<storage, read> preconditioned: array<f32>;
+@group(0) @binding(3) var<storage, read_write> direction: array<f32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let node = workgroup_index(group, groups) * 256u + local;
+    if (state.done != 0u || node >= job.node_count) {
+        return;
+    }
+    direction[node] = preconditioned[node] + state.turn * direction[node];
+}

@@ -1,0 +1,167 @@
+//! The form of a pass: what it binds and how many invocations a workgroup has, written once.
+
+use super::{GpuError, checked};
+use std::fmt::Write;
+use std::sync::OnceLock;
+
+/// How a pass uses a buffer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Access {
+    /// A uniform block.
+    Uniform,
+    /// Storage, read only.
+    Read,
+    /// Storage, read and written.
+    Write,
+}
+
+/// A pass's text and what it asks for.
+#[derive(Debug)]
+pub struct Shader {
+    /// Name of the pass and of its file.
+    pub name: &'static str,
+    /// Its WGSL, without what it shares with others.
+    pub own_source: &'static str,
+    /// Files that it shares with others, by content.
+    pub common: &'static [&'static str],
+    /// Makes the constants that come from Rust.
+    pub constants: fn() -> String,
+    /// Its buffers in the order of their binding numbers.
+    pub bindings: &'static [(&'static str, Access)],
+    /// Invocations a workgroup.
+    pub workgroup_size: u32,
+    /// A pipeline constant and the values that the pass is built for, where there is one.
+    pub variants: Option<(&'static str, &'static [u32])>,
+}
+
+impl Shader {
+    /// The whole WGSL text.
+    pub fn source(&self) -> String {
+        let mut source = (self.constants)();
+        for common in self.common {
+            source.push_str(common);
+        }
+        source.push_str(self.own_source);
+        source
+    }
+}
+
+/// WGSL of some constants, from their one home in Rust. An f32 printed as f64 comes back exactly.
+pub(crate) fn constants(values: impl IntoIterator<Item = (impl AsRef<str>, f32)>) -> String {
+    let mut text = String::new();
+    for (name, value) in values {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "const {}: f32 = {:?};", name.as_ref(), f64::from(value));
+    }
+    text
+}
+
+/// A pass made ready on a device.
+pub(crate) struct Pipeline {
+    pub(crate) shader: &'static Shader,
+    layout: wgpu::BindGroupLayout,
+    /// One for each of the shader's variants, made when first needed.
+    variants: Vec<OnceLock<wgpu::ComputePipeline>>,
+    module: wgpu::ShaderModule,
+    pipeline_layout: wgpu::PipelineLayout,
+}
+
+impl Pipeline {
+    /// Compiles the shader of a pass.
+    pub(crate) fn new(device: &wgpu::Device, shader: &'static Shader) -> Result<Self, GpuError> {
+        checked(device, shader.name, || {
+            let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some(shader.name),
+                source: wgpu::ShaderSource::Wgsl(shader.source().into()),
+            });
+            let entries: Vec<_> = shader
+                .bindings
+                .iter()
+                .enumerate()
+                .map(|(binding, (_, access))| wgpu::BindGroupLayoutEntry {
+                    binding: binding as u32,
+                    visibility: wgpu::ShaderStages::COMPUTE,
+                    ty: wgpu::BindingType::Buffer {
+                        ty: match access {
+                            Access::Uniform => wgpu::BufferBindingType::Uniform,
+                            Access::Read => wgpu::BufferBindingType::Storage { read_only: true },
+                            Access::Write => wgpu::BufferBindingType::Storage { read_only: false },
+                        },
+                        has_dynamic_offset: false,
+                        min_binding_size: None,
+                    },
+                    count: None,
+                })
+                .collect();
+            let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                label: Some(shader.name),
+                entries: &entries,
+            });
+            let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: Some(shader.name),
+                bind_group_layouts: &[Some(&layout)],
+                immediate_size: 0,
+            });
+            let count = shader.variants.map_or(1, |(_, values)| values.len());
+            let variants = (0..count).map(|_| OnceLock::new()).collect();
+            Self { shader, layout, variants, module, pipeline_layout }
+        })
+    }
+
+    /// The pipeline itself; `value` is that of the shader's variants, where it has any.
+    pub(crate) fn get(&self, device: &wgpu::Device, value: u32) -> Result<&wgpu::ComputePipeline, GpuError> {
+        let (variant, constant) = match self.shader.variants {
+            Some((name, values)) => {
+                let variant = values.iter().position(|&v| v == value).unwrap_or(0);
+                (variant, Some((name, f64::from(values[variant]))))
+            }
+            None => (0, None),
+        };
+        let cell = &self.variants[variant];
+        if let Some(pipeline) = cell.get() {
+            return Ok(pipeline);
+        }
+        let pipeline = checked(device, self.shader.name, || {
+            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(self.shader.name),
+                layout: Some(&self.pipeline_layout),
+                module: &self.module,
+                entry_point: Some("main"),
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    constants: constant.as_slice(),
+                    // Every pass sets what it reads.
+                    zero_initialize_workgroup_memory: false,
+                },
+                cache: None,
+            })
+        })?;
+        Ok(cell.get_or_init(|| pipeline))
+    }
+
+    /// Builds every variant.
+    pub(crate) fn warm_up(&self, device: &wgpu::Device) -> Result<(), GpuError> {
+        for &value in self.shader.variants.map_or(&[0][..], |(_, values)| values) {
+            self.get(device, value)?;
+        }
+        Ok(())
+    }
+
+    /// Binds buffers to the pass, each found by its name.
+    pub(crate) fn bind<'a>(
+        &self,
+        device: &wgpu::Device,
+        find: impl Fn(&'static str) -> wgpu::BindingResource<'a>,
+    ) -> Result<wgpu::BindGroup, GpuError> {
+        checked(device, self.shader.name, || {
+            let entries: Vec<_> = (0..)
+                .zip(self.shader.bindings)
+                .map(|(binding, (name, _))| wgpu::BindGroupEntry { binding, resource: find(name) })
+                .collect();
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some(self.shader.name),
+                layout: &self.layout,
+                entries: &entries,
+            })
+        })
+    }
+}
