@@ -5,6 +5,7 @@ use super::plot::{Line, Mark, Room, Violin, lines, violins};
 use super::render::Style;
 use crate::Result;
 use crate::evaluate::{self, Evaluation, Truth};
+use crate::fit::EngineDescription;
 use crate::merge::Ring;
 use crate::reconstruction::{Lumen, LumenReport, Reconstruction, Report};
 use crate::recording::{Recording, Spread, Summary};
@@ -149,14 +150,17 @@ fn summary(page: &mut Page, subject: &Subject) {
     }
 }
 
+pub(super) fn engine_row(engine: &EngineDescription, threads: usize) -> String {
+    match &engine.adapter {
+        Some(adapter) => format!("{} on {adapter}", engine.name),
+        None => format!("{} on {threads} threads", engine.name),
+    }
+}
+
 fn cylinder_rows(report: &Report) -> Vec<(&'static str, String)> {
     let cylinders = match report.estimated_cylinders {
         0 => format!("{}, as the recording places them", report.cylinders),
         _ => format!("{}, placed by the contours", report.cylinders),
-    };
-    let engine = match &report.engine.adapter {
-        Some(adapter) => format!("{} on {adapter}", report.engine.name),
-        None => format!("{} on {} threads", report.engine.name, report.threads),
     };
     let seconds = &report.seconds;
     let milliseconds = (seconds.track + seconds.fit + seconds.merge) * 1e3;
@@ -164,7 +168,7 @@ fn cylinder_rows(report: &Report) -> Vec<(&'static str, String)> {
         ("method", "cylinders".into()),
         ("cylinders fitted", cylinders),
         ("vessel", format!("{} rings, {} nodes, {} triangles", report.rings, report.nodes, report.triangles)),
-        ("engine", engine),
+        ("engine", engine_row(&report.engine, report.threads)),
         ("time", format!("{milliseconds:.0} ms: placing frames, fitting, merging")),
     ]
 }

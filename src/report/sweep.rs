@@ -2,7 +2,7 @@
 
 use super::page::Page;
 use super::plot::{Line, Mark, Room, lines};
-use super::reconstruction::{facts, share};
+use super::reconstruction::{engine_row, facts, share};
 use crate::Result;
 use crate::sweep::{Report, Sweep};
 
@@ -12,7 +12,7 @@ pub(super) fn summary_rows(report: &Report) -> Vec<(&'static str, String)> {
     vec![
         ("method", "sweep".into()),
         ("vessel", format!("{:.0} mm, {} rings, {} nodes", report.length_mm, report.rings, report.nodes)),
-        ("threads", report.threads.to_string()),
+        ("engine", engine_row(&report.engine, report.threads)),
         ("time", format!("{milliseconds:.0} ms: axis, placing echoes, fitting, weighing support")),
     ]
 }

@@ -1,7 +1,7 @@
 //! One smooth vessel from all echoes: a tube swept along the estimated centreline, its wall found by penalised least
 //! squares (`docs/methods.md`).
 //!
-//! Contours and poses are all it needs. Data flows one way: contour centres → `centreline` → `axis` → echoes about the
+//! Contours and poses are all it needs. Data flows one way: outlines of the contours → `centreline` → `axis` → echoes about the
 //! axis → `wall` → support of every node → surface.
 
 mod axis;
@@ -9,6 +9,7 @@ mod banded;
 mod centreline;
 mod contour;
 mod echo;
+mod engine;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 mod grid;
@@ -19,10 +20,10 @@ mod wall;
 pub use axis::Axis;
 pub use support::Support;
 
-use crate::fit::{AutoEngine, EngineDescription};
+use crate::fit::EngineDescription;
 use crate::geometry::Pose;
 use crate::recording::{Frame, Recording};
-use crate::settings::{Backend, Settings};
+use crate::settings::Settings;
 use crate::surface::Surface;
 use crate::tube::face_triangles;
 use crate::{Error, Result};
@@ -35,7 +36,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 use std::time::Instant;
-use wall::{OnCpu, Wall};
+use wall::Wall;
 
 /// A vessel swept along its centreline.
 ///
@@ -125,7 +126,7 @@ impl Sweep {
     /// # Errors
     /// Where settings are invalid, a frame cannot be used, or the contours cover no length of a vessel.
     pub fn of(recording: &Recording, settings: &Settings) -> Result<Self> {
-        Self::fitted(recording, settings, |grid, echoes| fit(grid, echoes, settings))
+        Self::fitted(recording, settings, |grid, echoes| engine::fit(grid, echoes, settings))
     }
 
     /// As [`Sweep::of`], the wall fitted by an engine on a device, whatever the settings' backend.
@@ -133,9 +134,9 @@ impl Sweep {
     /// # Errors
     /// As [`Sweep::of`], and [`Error::Gpu`] where the device fails.
     #[cfg(feature = "gpu")]
-    pub fn on_device(recording: &Recording, settings: &Settings, engine: &gpu::SweepEngine) -> Result<Self> {
+    pub fn on_device(recording: &Recording, settings: &Settings, device: &gpu::SweepEngine) -> Result<Self> {
         Self::fitted(recording, settings, |grid, echoes| {
-            fit_on_device(grid, echoes, settings, engine).map(|wall| (wall, engine.describe()))
+            engine::fit_on_device(grid, echoes, settings, device).map(|wall| (wall, device.describe()))
         })
     }
 
@@ -294,74 +295,6 @@ fn without(frames: &[Frame], blind: &[usize]) -> Vec<Frame> {
     let mut frames = frames.to_vec();
     blind.iter().for_each(|&k| frames[k].contour_mm.clear());
     frames
-}
-
-/// CPU time of an echo in a reweighting and of a node in a step of the solver, in seconds, about twice what a server
-/// processor takes; reweightings, and steps in each. They steer the choice of [`Backend::Auto`], not a result.
-const SECONDS_PER_ECHO: f64 = 200e-9;
-const SECONDS_PER_NODE: f64 = 50e-9;
-const USUAL_ITERATIONS: f64 = 8.0;
-const USUAL_STEPS: f64 = 15.0;
-
-/// Fits the wall where the settings say.
-fn fit(grid: &Grid, echoes: &mut [Echo], settings: &Settings) -> Result<(Wall, EngineDescription)> {
-    match settings.backend {
-        Backend::Cpu | Backend::Reference => fit_on_cpu(grid, echoes, settings, None),
-        Backend::Auto => {
-            let of_echoes = echoes.len() as f64 * SECONDS_PER_ECHO / rayon::current_num_threads() as f64;
-            let of_nodes = grid.node_count() as f64 * SECONDS_PER_NODE * USUAL_STEPS;
-            let cpu_seconds = USUAL_ITERATIONS * (of_echoes + of_nodes);
-            if cpu_seconds < AutoEngine::WORTH_A_DEVICE_S {
-                let why = format!(
-                    "the work is about {} ms on the CPU, less than starting a device takes",
-                    (cpu_seconds * 1e3).ceil()
-                );
-                return fit_on_cpu(grid, echoes, settings, Some(why));
-            }
-            #[cfg(feature = "gpu")]
-            let why = match AutoEngine::start(settings.adapter.as_deref(), gpu::SweepEngine::new) {
-                Err(why) => why,
-                Ok(engine) => match fit_on_device(grid, echoes, settings, &engine) {
-                    Ok(wall) => {
-                        let why = format!("the work is about {cpu_seconds:.1} s on the CPU");
-                        return Ok((wall, EngineDescription { why: Some(why), ..engine.describe() }));
-                    }
-                    Err(Error::Gpu(failure)) => format!("the device failed: {failure}"),
-                    Err(other) => return Err(other),
-                },
-            };
-            #[cfg(not(feature = "gpu"))]
-            let why = "this build has no GPU engine".to_owned();
-            fit_on_cpu(grid, echoes, settings, Some(why))
-        }
-        #[cfg(feature = "gpu")]
-        Backend::Gpu => {
-            let engine = gpu::SweepEngine::new(settings.adapter.as_deref())?;
-            Ok((fit_on_device(grid, echoes, settings, &engine)?, engine.describe()))
-        }
-    }
-}
-
-fn fit_on_cpu(
-    grid: &Grid,
-    echoes: &mut [Echo],
-    settings: &Settings,
-    why: Option<String>,
-) -> Result<(Wall, EngineDescription)> {
-    let start_mm = wall::start_mm(echoes);
-    let wall = wall::fit(OnCpu::new(grid, echoes, start_mm), grid, start_mm, settings.sweep.roughness)?;
-    Ok((wall, EngineDescription { name: "cpu".into(), adapter: None, why }))
-}
-
-#[cfg(feature = "gpu")]
-fn fit_on_device(
-    grid: &Grid,
-    echoes: &mut [Echo],
-    settings: &Settings,
-    engine: &gpu::SweepEngine,
-) -> Result<Wall> {
-    let start_mm = wall::start_mm(echoes);
-    wall::fit(engine.wall(grid, echoes, start_mm)?, grid, start_mm, settings.sweep.roughness)
 }
 
 /// Wall points of all frames.
