@@ -135,8 +135,9 @@ pub struct StageSeconds {
 
 impl Reconstruction {
     /// Reconstructs the vessel of a recording by the published method: a cylinder every `every` frames, fitted
-    /// by `engine` and stitched. With `history`, cylinders keep their radii of every iteration. `progress` is
-    /// told the number of cylinders that have become ready since its last call. [`Settings::method`] is not looked at.
+    /// by `engine` and merged as the settings ask. With `history`, cylinders keep their radii of every iteration.
+    /// `progress` is told the number of cylinders that have become ready since its last call. [`Settings::method`] is
+    /// not looked at.
     ///
     /// # Errors
     /// Where settings are invalid, the recording has fewer than `every` frames, or a frame cannot be used.
@@ -168,6 +169,14 @@ impl Reconstruction {
         let vessel = Vessel::of(&cylinders, settings.merge);
         let merge_seconds = start.elapsed().as_secs_f64();
 
+        if vessel.rings.len() < 2 {
+            return Err(Error::Frame {
+                frame: cylinders.last().map_or(0, |c| c.frame),
+                field: "vessel",
+                found: format!("{} rings that points support", vessel.rings.len()),
+                expected: "at least 2 from all cylinders up to here".into(),
+            });
+        }
         let nodes: usize = vessel.rings.iter().map(|r| r.nodes_mm.len()).sum();
         let sum = |of: &dyn Fn(&FittedCylinder) -> u64| cylinders.iter().map(of).sum::<u64>();
         let rejected = sum(&|c| c.tube.rejected);

@@ -140,7 +140,7 @@ impl Blend {
 
     /// The vessel so far: the rings of which at least half of the nodes were seen.
     ///
-    /// `support` of a node is the mean number of points behind it in the cylinders, rounded up; nodes that none saw
+    /// `support` of a node is the mean number of points behind it in the cylinders, at least 1; nodes that none saw
     /// have 0 and lie on the circle that fits the others best.
     pub fn vessel(&self) -> Vessel {
         Vessel { rings: self.stations.iter().filter_map(Station::ring).collect() }
@@ -167,7 +167,7 @@ impl Station {
             frame: self.frame,
             nodes_mm: nodes_mm.collect(),
             support: (0..count)
-                .map(|j| seen(j).map_or(0, |s| (s.support / s.weight).ceil() as u32))
+                .map(|j| seen(j).map_or(0, |s| (s.support / s.weight).round().max(1.0) as u32))
                 .collect(),
             residual_mm: (0..count).map(|j| seen(j).map_or(f64::NAN, |s| s.residual_mm / s.weight)).collect(),
         })
