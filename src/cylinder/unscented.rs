@@ -101,8 +101,8 @@ struct Filter {
 impl TubeFit for Filter {
     fn start(ring: &Ring) -> Self {
         let mut covariance = [[0.0; PARAMETERS]; PARAMETERS];
-        for i in 0..PARAMETERS {
-            covariance[i][i] = variance(&FIRST_SD, i, ring.radius_mm);
+        for (i, row) in covariance.iter_mut().enumerate() {
+            row[i] = variance(&FIRST_SD, i, ring.radius_mm);
         }
         Self {
             tube: ring.tube(),
