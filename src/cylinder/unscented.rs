@@ -162,8 +162,8 @@ impl Filter {
             [(0, 2, s), (1, 3, s), (0, 4, 0.5 * s * s), (1, 5, 0.5 * s * s), (2, 4, s), (3, 5, s), (6, 7, s)];
         let before = self.covariance;
         for (to, from, by) in moves {
-            for j in 0..PARAMETERS {
-                self.covariance[to][j] += by * before[from][j];
+            for (c, of) in self.covariance[to].iter_mut().zip(&before[from]) {
+                *c += by * of;
             }
         }
         let half = self.covariance;
