@@ -101,8 +101,8 @@ struct Filter {
 impl TubeFit for Filter {
     fn start(ring: &Ring) -> Self {
         let mut covariance = [[0.0; PARAMETERS]; PARAMETERS];
-        for i in 0..PARAMETERS {
-            covariance[i][i] = variance(&FIRST_SD, i, ring.radius_mm);
+        for (i, row) in covariance.iter_mut().enumerate() {
+            row[i] = variance(&FIRST_SD, i, ring.radius_mm);
         }
         Self {
             tube: ring.tube(),
@@ -162,8 +162,8 @@ impl Filter {
             [(0, 2, s), (1, 3, s), (0, 4, 0.5 * s * s), (1, 5, 0.5 * s * s), (2, 4, s), (3, 5, s), (6, 7, s)];
         let before = self.covariance;
         for (to, from, by) in moves {
-            for j in 0..PARAMETERS {
-                self.covariance[to][j] += by * before[from][j];
+            for (c, of) in self.covariance[to].iter_mut().zip(&before[from]) {
+                *c += by * of;
             }
         }
         let half = self.covariance;

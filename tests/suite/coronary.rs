@@ -162,10 +162,10 @@ fn every_lumen_is_star_shaped_about_its_centroid() {
     assert!(!is_star_shaped(&horseshoe));
 }
 
-/// Why the commands of `docs/coronary.md` import with `--upright`: the centroids of slits jump from frame to frame, and an
-/// axis fitted through them leans.
+/// Why the commands of `docs/coronary.md` import with `--upright`: slits jump from frame to frame, and the usual estimate
+/// leans in some of them.
 #[test]
-fn an_axis_through_the_centroids_leans() {
+fn the_usual_estimate_leans_in_single_frames() {
     for case in cases() {
         let recording = &case.pullback.recording;
         let mut estimate = LocalEstimate::default();
@@ -183,7 +183,7 @@ fn an_axis_through_the_centroids_leans() {
             median(&differences),
             largest(&differences)
         );
-        assert!(median(&differences) <= 10.0 && largest(&leans) > 5.0);
+        assert!(median(&differences) <= 10.0 && largest(&leans) > 1.0 && median(&leans) < 5.0);
     }
 }
 

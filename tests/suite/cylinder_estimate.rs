@@ -60,7 +60,7 @@ fn estimated(given: &Recording) -> Recording {
 #[test]
 fn estimates_agree_with_the_models_of_the_recordings() {
     for (name, most) in
-        [("adult_aorta_clean.mat", [1.5, 15.0, 0.1]), ("adult_aorta_noisy.mat", [1.5, 20.0, 0.1])]
+        [("adult_aorta_clean.mat", [1.5, 20.0, 0.1]), ("adult_aorta_noisy.mat", [1.5, 20.0, 0.1])]
     {
         let Some(path) = shared(&format!("recordings/{name}")) else { return };
         let given = Recording::read(&path).unwrap();
