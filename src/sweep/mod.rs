@@ -113,12 +113,12 @@ pub struct StageSeconds {
 
 /// The axis is prolonged by so many contour radii at both ends: echoes of tilted frames lie there.
 const BEYOND_RADII: f64 = 1.5;
-/// Fewest echoes that a node stands for on average.
-const ECHOES_PER_NODE: f64 = 4.0;
+/// Echoes that a node stands for on average: few where they are exact, more where noise hides what lies between.
+const ECHOES_PER_NODE: std::ops::RangeInclusive<f64> = 1.0..=4.0;
 /// Nodes that a machine holds without trouble.
 const MOST_NODES: f64 = 5e7;
 /// Nodes a ring, where the recording decides.
-const NODES_PER_RING: std::ops::RangeInclusive<usize> = 16..=128;
+const NODES_PER_RING: std::ops::RangeInclusive<usize> = 16..=256;
 
 impl Sweep {
     /// Reconstructs the vessel of a recording; cylinder models in it are not looked at.
@@ -178,7 +178,8 @@ impl Sweep {
             });
         };
         let length_mm = centreline::lengths(&curve).last().copied().unwrap_or(0.0);
-        let (nodes, step_mm) = resolution(frames, length_mm, radius_mm, settings)?;
+        let noise_mm = median(&mut outlines.iter().flatten().map(|o| o.noise_mm).collect::<Vec<_>>());
+        let (nodes, step_mm) = resolution(frames, length_mm, radius_mm, noise_mm, settings)?;
         let axis = Axis::along(&curve, step_mm, BEYOND_RADII * radius_mm);
         let axis_seconds = start.elapsed().as_secs_f64();
 
@@ -303,18 +304,30 @@ fn echo_count(frames: &[Frame]) -> usize {
 }
 
 /// Nodes a ring, and the distance of two rings in mm, that the echoes along a vessel can bear.
-fn resolution(frames: &[Frame], length_mm: f64, radius_mm: f64, settings: &Settings) -> Result<(usize, f64)> {
+fn resolution(
+    frames: &[Frame],
+    length_mm: f64,
+    radius_mm: f64,
+    noise_mm: f64,
+    settings: &Settings,
+) -> Result<(usize, f64)> {
     let seen = frames.iter().filter(|f| f.echoes_mm().next().is_some()).count();
     // More than two rings for each frame would have nothing to rest on.
     let least_step_mm = length_mm / seen as f64 / 2.0;
     let nodes = match settings.sweep.nodes {
         Some(nodes) => nodes as usize,
         None => {
-            let affordable = echo_count(frames) as f64 / ECHOES_PER_NODE;
-            let even = (affordable * TAU * radius_mm / length_mm).sqrt();
-            let sparse = affordable * least_step_mm / length_mm;
+            let nodes = |echoes_per_node: f64| {
+                let affordable = echo_count(frames) as f64 / echoes_per_node;
+                let even = (affordable * TAU * radius_mm / length_mm).sqrt();
+                even.max(affordable * least_step_mm / length_mm)
+            };
+            // Triangles that deviate from the wall by less than the noise need not be smaller.
+            let wanted = TAU * radius_mm * wall::CELL_NOISE * settings.sweep.roughness / noise_mm;
             let rays = median(&mut frames.iter().map(|f| f.contour_mm.len() as f64).collect::<Vec<_>>());
-            (rays.min(even.max(sparse)) as usize & !1).clamp(*NODES_PER_RING.start(), *NODES_PER_RING.end())
+            let least = nodes(*ECHOES_PER_NODE.end()).min(rays);
+            let most = nodes(*ECHOES_PER_NODE.start()).min(2.0 * rays);
+            (wanted.min(most).max(least) as usize & !1).clamp(*NODES_PER_RING.start(), *NODES_PER_RING.end())
         }
     };
     let step_mm = (TAU * radius_mm / nodes as f64).max(least_step_mm);
