@@ -53,11 +53,9 @@ const GRIDS: [(u32, u32); 7] = [(3, 8), (8, 9), (15, 64), (16, 67), (17, 100), (
 /// A job on such a grid, with everything known.
 pub fn job(rings: u32, nodes: u32) -> Job {
     let arc_mm = 2.0 * std::f64::consts::PI * 11.0 / f64::from(nodes);
-    Job { feet: 1, gated: 1, enough: 1e-3, ..Job::new(rings, nodes, 11.0) }.with_noise(0.7).with_smoothness(
-        31.0,
-        1.2 * arc_mm,
-        arc_mm,
-    )
+    Job { feet: 1, gated: 1, enough: 1e-3, ..Job::new(rings, nodes, 11.0, 0.1) }
+        .with_noise(0.7)
+        .with_smoothness(31.0, 1.2 * arc_mm, arc_mm)
 }
 
 fn random(count: usize, range: std::ops::Range<f32>, seed: u64) -> Vec<f32> {
