@@ -7,7 +7,7 @@ pub use pass::{Items, PASSES, Pass};
 pub use workspace::Workspace;
 
 use super::banded::Dissected;
-use super::echo;
+use super::echo::{self, OUT_OF_PLANE};
 use super::grid::{Grid, MOST_STEPS};
 use super::passes::{Echo, Factors, Job, State};
 use super::wall::{Drawn, Round, WallEngine};
@@ -231,7 +231,7 @@ impl SweepEngine {
             return Err(GpuError::Refused { what, reason: format!("{MOST_NODES} at most") }.into());
         }
         let (rings, nodes) = (grid.rings as u32, grid.nodes as u32);
-        let job = Job::new(rings, nodes, start_mm);
+        let job = Job::new(rings, nodes, start_mm, OUT_OF_PLANE);
         let of_device: Vec<Echo> = echoes.iter().map(|echo| echo.for_device(grid, start_mm)).collect();
         let workspace = self.prepare(&job, &of_device)?;
         Ok(OnDevice { engine: self, workspace, grid, echoes, start_mm })
@@ -396,7 +396,7 @@ mod tests {
     fn systems_in_blocks_have_the_solutions_of_whole_ones() {
         for (rings, nodes, smoothness) in [(9, 8, 1.0), (100, 9, 1e-3), (300, 24, 60.0), (301, 24, 60.0)] {
             let grid = Grid::new(rings, nodes, 1.1, 4.0);
-            let job = Job::new(rings as u32, nodes as u32, 4.0);
+            let job = Job::new(rings as u32, nodes as u32, 4.0, 0.1);
             let factors = factors(&grid, &job, ring_weights(rings), smoothness).unwrap();
             let waves = waves(nodes as u32);
             let values: Vec<f32> =
@@ -420,6 +420,6 @@ mod tests {
     #[test]
     fn weights_that_are_no_numbers_have_no_factors() {
         let grid = Grid::new(100, 9, 1.1, 4.0);
-        assert!(factors(&grid, &Job::new(100, 9, 4.0), vec![f64::NAN; 100], 1.0).is_none());
+        assert!(factors(&grid, &Job::new(100, 9, 4.0, 0.1), vec![f64::NAN; 100], 1.0).is_none());
     }
 }

@@ -57,7 +57,7 @@ mod tests {
     fn the_bending_is_the_cpu_s() {
         for rings in [3, 4, 7] {
             let grid = Grid { rings, nodes: 8, step_mm: 1.3, arc_mm: 0.9 };
-            let job = Job::new(rings as u32, 8, 5.0).with_smoothness(3.0, grid.step_mm, grid.arc_mm);
+            let job = Job::new(rings as u32, 8, 5.0, 0.1).with_smoothness(3.0, grid.step_mm, grid.arc_mm);
             let x: Vec<f32> = (0..8 * rings).map(|i| (0.7 * (i * i) as f32).sin()).collect();
             let mut expected = vec![0.0; x.len()];
             let wide: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();

@@ -130,7 +130,7 @@ pub fn accumulate(job: &Job, echo: &Echo, wall: &[f32], shift: [f32; 2], sums: &
 mod tests {
     use super::*;
     use crate::sweep::axis::Place;
-    use crate::sweep::echo::Echo as OnCpu;
+    use crate::sweep::echo::{Echo as OnCpu, OUT_OF_PLANE};
     use crate::sweep::grid::{Equations, Grid};
     use glam::{DMat3, DVec3};
     use rand::{RngExt, SeedableRng};
@@ -174,7 +174,7 @@ mod tests {
     fn feet_and_misses_are_the_cpu_s() {
         let (radii, mut echoes) = wall_and_echoes();
         let wall: Vec<f32> = radii.iter().map(|r| (r - START_MM) as f32).collect();
-        let job = Job { feet: 1, ..Job::new(40, 24, START_MM) }.with_noise(NOISE_MM);
+        let job = Job { feet: 1, ..Job::new(40, 24, START_MM, OUT_OF_PLANE) }.with_noise(NOISE_MM);
         let mut shifts = vec![[0.0_f32; 2]; echoes.len()];
         // Feet that have moved, too. What is on another triangle after rounding is the same wall, but another slope.
         for round in 0..4 {
@@ -209,7 +209,7 @@ mod tests {
         let (radii, echoes) = wall_and_echoes();
         let wall: Vec<f32> = radii.iter().map(|r| (r - START_MM) as f32).collect();
         for gated in [0, 1] {
-            let job = Job { gated, ..Job::new(40, 24, START_MM) }.with_noise(NOISE_MM / 4.0);
+            let job = Job { gated, ..Job::new(40, 24, START_MM, OUT_OF_PLANE) }.with_noise(NOISE_MM / 4.0);
             let mut sums = vec![[0; 5]; GRID.node_count()];
             let mut expected = Equations::over(&GRID, 0..GRID.rings);
             for mut echo in echoes.iter().copied() {

@@ -1,6 +1,6 @@
 //! What the passes know. The shaders' structures are in `shaders/sweep/common/job.wgsl`; a test compares the layouts.
 
-use super::super::echo::{FARTHEST_FOOT_SDS, GATE_RADII, GATE_SDS, OUT_OF_PLANE};
+use super::super::echo::{FARTHEST_FOOT_SDS, GATE_RADII, GATE_SDS};
 use super::super::wall::HUBER;
 use crate::fit::passes::Scalar;
 use bytemuck::{Pod, Zeroable};
@@ -69,11 +69,12 @@ pub struct Job {
 }
 
 impl Job {
-    /// A grid of rings and nodes, with radii measured from `start_mm`. The noise is yet unknown.
-    pub fn new(rings: u32, nodes: u32, start_mm: f64) -> Self {
+    /// A grid of rings and nodes, with radii measured from `start_mm`, and `out_of_plane` of the noise's variance across
+    /// the image planes. The noise is yet unknown.
+    pub fn new(rings: u32, nodes: u32, start_mm: f64, out_of_plane: f64) -> Self {
         // A weight is at most 1/ε, as of a wall across the image's normal; Huber bounds the way that goes with it.
-        let weight_scale = f32::fixed_point_scale(1.0 / OUT_OF_PLANE.min(1.0));
-        let way_scale = f32::fixed_point_scale(HUBER / OUT_OF_PLANE.min(1.0).sqrt());
+        let weight_scale = f32::fixed_point_scale(1.0 / out_of_plane.min(1.0));
+        let way_scale = f32::fixed_point_scale(HUBER / out_of_plane.min(1.0).sqrt());
         let block_rings = block_rings(rings);
         let short = (1..=nodes.isqrt()).rev().find(|factor| nodes.is_multiple_of(*factor)).unwrap_or(1);
         Self {
@@ -87,7 +88,7 @@ impl Job {
             long: nodes / short,
             step_theta: (TAU / f64::from(nodes)) as f32,
             per_node: (1.0 / f64::from(nodes)) as f32,
-            in_plane: (1.0 - OUT_OF_PLANE) as f32,
+            in_plane: (1.0 - out_of_plane) as f32,
             gate_radii: GATE_RADII as f32,
             weight_scale,
             weight_unit: 1.0 / weight_scale,
