@@ -52,6 +52,12 @@ pub(super) struct SettingsArguments {
     /// Keep the parts of a swept vessel that no echo supports
     #[arg(long)]
     keep_unsupported: bool,
+    /// Estimate a small error of every pose along with a swept vessel and take it off
+    #[arg(long)]
+    correct_poses: bool,
+    /// Estimate how much older poses are than contours, and correct it where it is significant
+    #[arg(long)]
+    estimate_offset: bool,
     /// Probe in the tracker sensor's frame: position in mm and unit quaternion [default: 0,0,0,0,0,0,1]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = numbers::<7>, allow_hyphen_values = true)]
     calibration: Option<[f64; 7]>,
@@ -87,6 +93,8 @@ impl SettingsArguments {
         }
         set(&mut settings.sweep.roughness, self.roughness);
         settings.sweep.keep_unsupported |= self.keep_unsupported;
+        settings.sweep.correct_poses |= self.correct_poses;
+        settings.sweep.estimate_offset |= self.estimate_offset;
         if let Some([x, y, z, qx, qy, qz, qw]) = self.calibration {
             settings.calibration.position_mm = [x, y, z];
             settings.calibration.quaternion = [qx, qy, qz, qw];

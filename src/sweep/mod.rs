@@ -9,11 +9,14 @@ mod banded;
 mod centreline;
 mod echo;
 mod grid;
+mod joint;
 mod support;
+mod tracker;
 mod wall;
 
 pub use axis::Axis;
 pub use support::Support;
+pub use tracker::Tracker;
 
 use crate::geometry::Pose;
 use crate::recording::{Frame, Recording};
@@ -29,6 +32,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 use std::time::Instant;
+use tracker::Scene;
 
 /// A vessel swept along its centreline.
 ///
@@ -82,6 +86,8 @@ pub struct Report {
     pub iterations: usize,
     /// Steps of the solver, summed over the iterations.
     pub solver_steps: usize,
+    /// Errors of the tracker, where settings ask for them.
+    pub tracker: Option<Tracker>,
     /// How long each stage took.
     pub seconds: StageSeconds,
 }
@@ -95,6 +101,8 @@ pub struct StageSeconds {
     pub place: f64,
     /// Fitting the wall.
     pub fit: f64,
+    /// Correcting what the tracker got wrong.
+    pub tracker: f64,
     /// Weighing its support.
     pub support: f64,
 }
@@ -142,13 +150,27 @@ impl Sweep {
         let start = Instant::now();
         let grid = Grid::new(axis.rings(), nodes, axis.step_mm, radius_mm);
         let mut wall = wall::fit(&grid, &mut echoes, settings.sweep.roughness);
+        let fit_seconds = start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        let tracker = match settings.sweep.correct_poses || settings.sweep.estimate_offset {
+            true => {
+                let place = |sensors: &[Pose]| {
+                    let poses: Vec<_> = sensors.iter().map(|&sensor| sensor * sensor_from_probe).collect();
+                    placed(frames, &poses, &axis, nodes)
+                };
+                let scene = Scene { grid: &grid, axis: &axis, frames, place: &place };
+                Some(Tracker::correct(&scene, &settings.sweep, &mut echoes, &mut wall)?)
+            }
+            false => None,
+        };
+        let tracker_seconds = start.elapsed().as_secs_f64();
         // Noise along a round wall moves echoes outwards: half its variance times the wall's curvature.
         let tangential_noise_mm = tangential_noise_mm(frames).min(wall.noise_mm);
         for radius in &mut wall.radii_mm {
             *radius -=
                 tangential_noise_mm * tangential_noise_mm / (2.0 * radius.abs().max(tangential_noise_mm));
         }
-        let fit_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
         let support = Support::of(&grid, &echoes, &wall);
@@ -176,10 +198,12 @@ impl Sweep {
             smoothness_mm2: wall.smoothness_mm2,
             iterations: wall.iterations,
             solver_steps: wall.solver_steps,
+            tracker,
             seconds: StageSeconds {
                 axis: axis_seconds,
                 place: place_seconds,
                 fit: fit_seconds,
+                tracker: tracker_seconds,
                 support: start.elapsed().as_secs_f64(),
             },
         };

@@ -1,7 +1,7 @@
 //! The wall about the axis: robust penalised least squares on radii, with every echo measured across the wall.
 
-use super::echo::{Echo, gate};
-use super::grid::{Equations, Grid, Solver};
+use super::echo::{Echo, OUT_OF_PLANE, gate};
+use super::grid::{Equations, Grid, Solver, System};
 use super::median;
 use rayon::prelude::*;
 
@@ -13,6 +13,8 @@ pub(super) struct Wall {
     pub noise_mm: f64,
     /// λ, mm².
     pub smoothness_mm2: f64,
+    /// Share of the noise's variance across the image plane.
+    pub out_of_plane: f64,
     pub iterations: usize,
     pub solver_steps: usize,
 }
@@ -36,24 +38,36 @@ const TASK: usize = 8192;
 
 /// Fits a wall to echoes sorted along the axis. `roughness` is τ: λ = (noise/τ)².
 pub(super) fn fit(grid: &Grid, echoes: &mut [Echo], roughness: f64) -> Wall {
-    let solver = Solver::new(*grid);
     let start = median(&mut echoes.iter().map(|e| e.radius_mm).collect::<Vec<_>>());
-    let mut wall = Wall {
+    let wall = Wall {
         radii_mm: vec![start; grid.node_count()],
         noise_mm: start,
         smoothness_mm2: 0.0,
+        out_of_plane: OUT_OF_PLANE,
         iterations: 0,
         solver_steps: 0,
     };
-    for iteration in 0..MOST_ITERATIONS {
+    refit(grid, echoes, roughness, wall)
+}
+
+/// Goes on from a wall, which is rough as long as it has no iterations behind it.
+pub(super) fn refit(grid: &Grid, echoes: &mut [Echo], roughness: f64, mut wall: Wall) -> Wall {
+    let solver = Solver::new(*grid);
+    let start = median(&mut echoes.iter().map(|e| e.radius_mm).collect::<Vec<_>>());
+    let first = wall.iterations;
+    for iteration in first..first + MOST_ITERATIONS {
         let rough = iteration < ROUGH_ITERATIONS;
         measure(grid, echoes, &wall, !rough);
-        wall.noise_mm = noise(echoes).hypot(CELL_NOISE * roughness * grid.arc_mm);
+        wall.noise_mm = smoothed_noise(grid, noise(echoes), roughness);
         wall.smoothness_mm2 = (wall.noise_mm / roughness).powi(2);
         let equations = equations(grid, echoes, &wall, rough);
         let before = wall.radii_mm.clone();
         let tolerance = (SOLVED_NOISE_SHARE * wall.noise_mm / start).max(1e-10);
-        wall.solver_steps += solver.solve(&equations, wall.smoothness_mm2, tolerance, &mut wall.radii_mm);
+        wall.solver_steps += solver.solve(
+            &System::plain(&equations, wall.smoothness_mm2),
+            tolerance,
+            &mut wall.radii_mm,
+        );
         wall.iterations = iteration + 1;
         let travel = before.iter().zip(&wall.radii_mm).map(|(a, b)| (a - b).abs()).sum::<f64>();
         let travel = travel / before.len() as f64;
@@ -66,10 +80,16 @@ pub(super) fn fit(grid: &Grid, echoes: &mut [Echo], roughness: f64) -> Wall {
     wall
 }
 
-fn measure(grid: &Grid, echoes: &mut [Echo], wall: &Wall, feet: bool) {
+/// The noise with what is added to it so that perfect echoes are not interpolated, mm.
+pub(super) fn smoothed_noise(grid: &Grid, noise_mm: f64, roughness: f64) -> f64 {
+    noise_mm.hypot(CELL_NOISE * roughness * grid.arc_mm)
+}
+
+/// Measures every echo against the wall, and with `feet` moves its foot.
+pub(super) fn measure(grid: &Grid, echoes: &mut [Echo], wall: &Wall, feet: bool) {
     echoes.par_chunks_mut(TASK).for_each(|task| {
         for echo in task {
-            echo.measure(grid, &wall.radii_mm, wall.noise_mm, feet);
+            echo.measure(grid, wall, feet);
         }
     });
 }
@@ -77,6 +97,11 @@ fn measure(grid: &Grid, echoes: &mut [Echo], wall: &Wall, feet: bool) {
 /// Standard deviation of normal noise with the echoes' median |miss|.
 fn noise(echoes: &[Echo]) -> f64 {
     1.4826 * median(&mut echoes.iter().map(|e| e.miss_mm.abs()).collect::<Vec<_>>())
+}
+
+/// Huber's weight of an echo that lies `miss_mm` off the wall.
+pub(super) fn huber(noise_mm: f64, miss_mm: f64) -> f64 {
+    (HUBER * noise_mm / miss_mm.max(f64::MIN_POSITIVE)).min(1.0)
 }
 
 fn equations(grid: &Grid, echoes: &mut [Echo], wall: &Wall, rough: bool) -> Equations {
@@ -92,12 +117,12 @@ fn equations(grid: &Grid, echoes: &mut [Echo], wall: &Wall, rough: bool) -> Equa
             let mut sums = Equations::over(grid, low..high + 2);
             for echo in task {
                 let (ring, node) = echo.foot();
-                let measured = echo.measure(grid, &wall.radii_mm, wall.noise_mm, false);
+                let measured = echo.measure(grid, wall, false);
                 let miss = echo.miss_mm.abs();
                 if !rough && miss > gate(wall.noise_mm, measured.wall_mm) {
                     continue;
                 }
-                let robust = (HUBER * wall.noise_mm / miss.max(f64::MIN_POSITIVE)).min(1.0);
+                let robust = huber(wall.noise_mm, miss);
                 let corners = grid.corners(ring, node);
                 sums.add(&corners, robust * measured.weight, measured.wall_mm + measured.radial_mm);
             }
