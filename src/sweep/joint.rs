@@ -23,6 +23,8 @@ type Matrix = [Twist; 6];
 const DEGREES_PER_MM: f64 = 1.0;
 /// Least variance of pose errors, in variances of the noise: none at all has no inverse.
 const LEAST_VARIANCE: f64 = 1e-12;
+/// Stretches of the recording whose scatter tells the standard error of an offset.
+const STRETCHES: usize = 32;
 /// Steps of the ascent to the likeliest level of pose errors in one go.
 const ASCENT_STEPS: usize = 10;
 
@@ -183,19 +185,22 @@ impl<'a> Joint<'a> {
         let ease = Ease::at_bends(self.grid, radii_mm, roughness);
         self.solve(&errors, fit.levels, roughness, &ease, &slides, &mut follow);
         let unseen = errors.of(&self.sums(|i| slides[i] - self.rows[i].corners.value(&follow)));
-        let (mut information, mut gradient) = (0.0, 0.0);
+        let mut information = 0.0;
+        let stretch = self.information.len().div_ceil(STRETCHES);
+        let mut scores = [0.0; STRETCHES];
         for (k, range) in self.starts.windows(2).enumerate() {
             for (row, slide) in self.rows[range[0]..range[1]].iter().zip(&slides[range[0]..]) {
                 let left = slide - row.corners.value(&follow) - dot(&row.pull, &unseen[k]);
                 let miss = row.radius_mm - row.corners.value(radii_mm) - dot(&row.pull, &fit.errors[k]);
                 information += row.weight * slide * left;
-                gradient -= row.weight * slide * miss;
+                scores[k / stretch] -= row.weight * left * miss;
             }
         }
-        Offset {
-            seconds: gradient / information,
-            standard_error_s: fit.levels.noise_mm / information.max(0.0).sqrt(),
-        }
+        let seconds = scores.iter().sum::<f64>() / information;
+        // What a model leaves out is alike in neighbouring frames, so the scatter of whole stretches counts as well.
+        let scatter = scores.iter().map(|s| s * s).sum::<f64>() / (information * information);
+        let of_noise = fit.levels.noise_mm.powi(2) / information;
+        Offset { seconds, standard_error_s: scatter.max(of_noise).sqrt() }
     }
 
     /// Σ w j value of each frame.

@@ -6,7 +6,7 @@
 use super::axis::Axis;
 use super::echo::Echo;
 use super::grid::{Grid, Solver};
-use super::joint::{Fit, Joint, Levels, Motion, Offset, Twist, corrected, split};
+use super::joint::{Joint, Levels, Motion, Offset, Twist, corrected, split};
 use super::wall::{self, Wall};
 use crate::geometry::Pose;
 use crate::recording::Frame;
@@ -15,7 +15,7 @@ use glam::{DMat3, DQuat, DVec3};
 use serde::Serialize;
 
 /// The tracker's errors, as estimated, and what of them was taken off the poses.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Tracker {
     /// Standard deviation of a pose's shift along each axis, mm; a turn of so many degrees goes with it.
     pub noise_mm: f64,
@@ -33,11 +33,14 @@ pub struct Tracker {
     pub solver_steps: usize,
 }
 
-/// Rounds of linearisation for the errors, and fits in each.
-const ROUNDS: usize = 2;
+/// Rounds of linearisation; with an offset they go on until a step is below this share of its standard error.
+const LEAST_ROUNDS: usize = 2;
+const MOST_ROUNDS: usize = 8;
+const ENOUGH_ERRORS: f64 = 0.1;
+/// Fits in a round, each with the levels that the one before it left.
 const FITS: usize = 4;
-/// Most rounds for the offset, which ends earlier when a step is below a tenth of the standard error.
-const OFFSET_ROUNDS: usize = 6;
+/// The first guess at the poses' noise, as a share of the echoes'.
+const START_SHARE: f64 = 0.3;
 /// An offset counts where it is beyond so many standard errors.
 const SIGNIFICANT: f64 = 3.0;
 /// Velocities are slopes over the frames that are at most so long before and after, and over one frame each way at
@@ -67,135 +70,107 @@ impl Tracker {
         echoes: &mut Vec<Echo>,
         wall: &mut Wall,
     ) -> Result<Self> {
-        let recorded: Vec<Pose> = scene.frames.iter().map(|f| f.world_from_sensor).collect();
-        let noise_mm = wall.noise_mm;
-        let start = Levels { noise_mm, shift_mm: 0.3 * noise_mm };
-        let mut work = Work {
-            scene,
-            solver: Solver::new(*scene.grid),
-            roughness: settings.roughness,
-            still: vec![Motion::default(); recorded.len()],
-            none: vec![Twist::default(); recorded.len()],
-            fit: Fit { errors: Vec::new(), levels: start, solver_steps: 0 },
-            solver_steps: 0,
-        };
-        let before = wall.clone();
-        let offset = match settings.estimate_offset {
-            true => Some(work.offset(&recorded, echoes, wall)?),
-            false => None,
-        };
-        let is_significant =
-            |o: &Offset| o.seconds.is_finite() && o.seconds.abs() > SIGNIFICANT * o.standard_error_s;
-        let seconds = offset.filter(is_significant).map(|o| o.seconds);
-        let sensors = match seconds {
-            Some(seconds) => moved(&recorded, &motions(scene.frames)?, seconds),
-            None => recorded,
-        };
-        if offset.is_some() {
-            // Only what counts is kept of the search for the offset.
-            *wall = before;
-            *echoes = (scene.place)(&sensors);
-            if seconds.is_some() {
-                *wall = wall::refit(scene.grid, echoes, settings.roughness, wall.clone());
-            } else {
+        let Scene { grid, frames, .. } = *scene;
+        let work = Work { scene, solver: Solver::new(*grid), roughness: settings.roughness };
+        let mut sensors: Vec<Pose> = frames.iter().map(|f| f.world_from_sensor).collect();
+        let mut report = Self::default();
+        if settings.estimate_offset {
+            let motions = motions(frames)?;
+            let found = work.estimate(&sensors, Some(&motions), echoes.clone(), wall.clone());
+            let Offset { seconds, standard_error_s } = found.offset;
+            report.noise_mm = found.shift_sd_mm;
+            report.solver_steps += found.solver_steps;
+            report.offset_s = Some(seconds);
+            report.offset_standard_error_s = Some(standard_error_s);
+            report.offset_corrected = seconds.abs() > SIGNIFICANT * standard_error_s;
+            if report.offset_corrected {
+                sensors = moved(&sensors, &motions, seconds);
+                *echoes = (scene.place)(&sensors);
                 work.settle(echoes, wall);
+                *wall = wall::refit(grid, echoes, settings.roughness, wall.clone());
             }
         }
-        let errors = match settings.correct_poses {
-            true => work.errors(&sensors, echoes, wall),
-            false => work.none.clone(),
-        };
         if settings.correct_poses {
-            *wall = wall::refit(scene.grid, echoes, settings.roughness, wall.clone());
+            let found = work.estimate(&sensors, None, std::mem::take(echoes), wall.clone());
+            *echoes = found.echoes;
+            *wall = wall::refit(grid, echoes, settings.roughness, found.wall);
+            let parts: Vec<_> = found.errors.iter().map(|e| split(e, grid.radius_mm())).collect();
+            let rms = |of: fn(&(DVec3, DVec3)) -> f64| {
+                (parts.iter().map(of).sum::<f64>() / parts.len().max(1) as f64).sqrt()
+            };
+            report.noise_mm = found.shift_sd_mm;
+            report.solver_steps += found.solver_steps;
+            report.shift_mm = rms(|(shift, _)| shift.length_squared());
+            report.turn_deg = rms(|(_, turn)| turn.length_squared()).to_degrees();
         }
-        let parts: Vec<_> = errors.iter().map(|e| split(e, scene.grid.radius_mm())).collect();
-        let rms = |of: &dyn Fn(&(DVec3, DVec3)) -> f64| {
-            (parts.iter().map(of).sum::<f64>() / parts.len().max(1) as f64).sqrt()
-        };
-        Ok(Self {
-            noise_mm: work.fit.levels.shift_mm,
-            shift_mm: rms(&|(shift, _)| shift.length_squared()),
-            turn_deg: rms(&|(_, turn)| turn.length_squared()).to_degrees(),
-            offset_s: offset.map(|o| o.seconds),
-            offset_standard_error_s: offset.map(|o| o.standard_error_s),
-            offset_corrected: seconds.is_some(),
-            solver_steps: work.solver_steps,
-        })
+        Ok(report)
     }
 }
 
-/// The work on a scene, and how far it is.
+/// What works on a scene.
 struct Work<'a> {
     scene: &'a Scene<'a>,
     solver: Solver,
     roughness: f64,
-    /// For each frame: no motion, and no error.
-    still: Vec<Motion>,
-    none: Vec<Twist>,
-    fit: Fit,
+}
+
+/// What was estimated, and echoes and wall without these errors.
+struct Estimate {
+    errors: Vec<Twist>,
+    shift_sd_mm: f64,
+    offset: Offset,
     solver_steps: usize,
+    echoes: Vec<Echo>,
+    wall: Wall,
 }
 
 impl Work<'_> {
-    /// Looks for the offset in time; errors of the poses are left free, so that its standard error holds.
-    fn offset(&mut self, recorded: &[Pose], echoes: &mut Vec<Echo>, wall: &mut Wall) -> Result<Offset> {
-        let motions = motions(self.scene.frames)?;
-        let mut found = Offset { seconds: 0.0, standard_error_s: f64::INFINITY };
-        wall.out_of_plane = OUT_OF_PLANE;
-        for round in 0..OFFSET_ROUNDS {
-            let sensors = moved(recorded, &motions, found.seconds);
-            if round > 0 {
-                *echoes = (self.scene.place)(&sensors);
-                self.settle(echoes, wall);
-            }
-            let none = self.none.clone();
-            let step = self.round(&sensors, &none, &motions, echoes, wall);
-            if !step.seconds.is_finite() {
-                break;
-            }
-            // Farther than that a step is no longer linear.
-            let seconds = step.seconds.clamp(-VELOCITY_WINDOW_S, VELOCITY_WINDOW_S);
-            found = Offset { seconds: found.seconds + seconds, standard_error_s: step.standard_error_s };
-            if step.seconds.abs() < 0.1 * step.standard_error_s {
-                break;
-            }
-        }
-        Ok(found)
-    }
-
-    /// Estimates the errors of the poses and takes them off.
-    fn errors(&mut self, sensors: &[Pose], echoes: &mut Vec<Echo>, wall: &mut Wall) -> Vec<Twist> {
-        let radius_mm = self.scene.grid.radius_mm();
-        wall.out_of_plane = OUT_OF_PLANE;
-        let mut errors = self.none.clone();
-        let mut now = sensors.to_vec();
-        for _ in 0..ROUNDS {
-            let still = std::mem::take(&mut self.still);
-            self.round(&now, &errors, &still, echoes, wall);
-            self.still = still;
-            errors.clone_from(&self.fit.errors);
-            now = sensors.iter().zip(&errors).map(|(pose, e)| corrected(pose, e, radius_mm)).collect();
-            *echoes = (self.scene.place)(&now);
-            self.settle(echoes, wall);
-        }
-        errors
-    }
-
-    /// One linearisation; gives the offset that is left, as far as there is motion.
-    fn round(
-        &mut self,
+    /// Estimates the errors of the poses, and where there are motions the offset along them too: both at once, or one
+    /// would pass for the other.
+    fn estimate(
+        &self,
         sensors: &[Pose],
-        errors: &[Twist],
-        motions: &[Motion],
-        echoes: &[Echo],
-        wall: &mut Wall,
-    ) -> Offset {
-        let Scene { grid, axis, .. } = *self.scene;
-        let joint = Joint::about((grid, &self.solver), axis, echoes, wall, sensors, errors, motions);
-        self.fit = joint.fit(self.fit.levels, FITS, self.roughness, &mut wall.radii_mm);
-        wall.noise_mm = self.fit.levels.noise_mm;
-        self.solver_steps += self.fit.solver_steps;
-        joint.offset(&self.fit, self.roughness, &wall.radii_mm)
+        motions: Option<&[Motion]>,
+        mut echoes: Vec<Echo>,
+        mut wall: Wall,
+    ) -> Estimate {
+        let Scene { grid, axis, place, .. } = *self.scene;
+        let still = vec![Motion::default(); sensors.len()];
+        let along = motions.unwrap_or(&still);
+        let mut levels = Levels { noise_mm: wall.noise_mm, shift_mm: START_SHARE * wall.noise_mm };
+        let mut errors = vec![Twist::default(); sensors.len()];
+        let mut offset = Offset { seconds: 0.0, standard_error_s: f64::INFINITY };
+        let mut now = sensors.to_vec();
+        let mut solver_steps = 0;
+        wall.out_of_plane = OUT_OF_PLANE;
+        for round in 0..MOST_ROUNDS {
+            let joint = Joint::about((grid, &self.solver), axis, &echoes, &wall, &now, &errors, along);
+            let fit = joint.fit(levels, FITS, self.roughness, &mut wall.radii_mm);
+            let mut is_left = false;
+            if motions.is_some() {
+                let step = joint.offset(&fit, self.roughness, &wall.radii_mm);
+                // No motion, no offset. Farther than the window a step is not linear.
+                if step.seconds.is_finite() {
+                    offset.seconds += step.seconds.clamp(-VELOCITY_WINDOW_S, VELOCITY_WINDOW_S);
+                    offset.standard_error_s = step.standard_error_s;
+                    is_left = step.seconds.abs() > ENOUGH_ERRORS * step.standard_error_s;
+                }
+            }
+            levels = fit.levels;
+            errors = fit.errors;
+            solver_steps += fit.solver_steps;
+            wall.noise_mm = levels.noise_mm;
+            now = moved(sensors, along, offset.seconds);
+            now.iter_mut()
+                .zip(&errors)
+                .for_each(|(pose, error)| *pose = corrected(pose, error, grid.radius_mm()));
+            echoes = place(&now);
+            self.settle(&mut echoes, &wall);
+            if round + 1 >= LEAST_ROUNDS && !is_left {
+                break;
+            }
+        }
+        Estimate { errors, shift_sd_mm: levels.shift_mm, offset, solver_steps, echoes, wall }
     }
 
     /// Lets the echoes find their feet.
