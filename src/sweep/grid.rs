@@ -459,6 +459,16 @@ mod tests {
     }
 
     #[test]
+    fn a_wall_is_eased_where_it_bends() {
+        let cone: Vec<f64> = (0..48).map(|i| 5.0 + 0.3 * f64::from(i / 8)).collect();
+        let even = Ease::at_bends(&GRID, &cone, 0.1);
+        assert!((0..6).all(|k| even.of(k) == 1.0), "{even:?}");
+        let step: Vec<f64> = (0..48).map(|i| if i < 8 { 5.0 } else { 8.0 }).collect();
+        let eased = Ease::at_bends(&GRID, &step, 0.1);
+        assert!(eased.of(1) < 0.1 && eased.of(5) == 1.0, "{eased:?}");
+    }
+
+    #[test]
     fn the_solver_solves_the_equations() {
         let equations = some_equations();
         for smoothness in [1e-4, 1.0, 1e4] {

@@ -73,6 +73,14 @@ pub(super) struct Joint<'a> {
     shape: Twist,
 }
 
+/// Where the wall may bend more. Found in the first fits, then kept: a wall that may bend more does, and would then be
+/// given still more.
+#[derive(Default)]
+pub(super) struct Eased {
+    ease: Ease,
+    is_settled: bool,
+}
+
 /// What the fit of a model gives.
 pub(super) struct Fit {
     /// c: per frame.
@@ -160,30 +168,39 @@ impl<'a> Joint<'a> {
     }
 
     /// Fits radii and errors, and estimates the levels from them, `times` times in turn. λ = (σ/τ)² goes along.
-    pub(super) fn fit(&self, levels: Levels, times: usize, roughness: f64, radii_mm: &mut [f64]) -> Fit {
+    pub(super) fn fit(
+        &self,
+        levels: Levels,
+        times: usize,
+        roughness: f64,
+        eased: &mut Eased,
+        radii_mm: &mut [f64],
+    ) -> Fit {
         let values: Vec<f64> = self.rows.iter().map(|row| row.radius_mm).collect();
         let mut fit = Fit { errors: Vec::new(), levels, solver_steps: 0 };
         for _ in 0..times {
             let noise_mm = fit.levels.noise_mm;
             let errors = self.errors_at(fit.levels);
-            let ease = Ease::at_bends(self.grid, radii_mm, roughness);
-            fit.solver_steps += self.solve(&errors, fit.levels, roughness, &ease, &values, radii_mm);
+            if !eased.is_settled {
+                eased.ease = Ease::at_bends(self.grid, radii_mm, roughness);
+            }
+            fit.solver_steps += self.solve(&errors, fit.levels, roughness, &eased.ease, &values, radii_mm);
             let sums = self.sums(|i| values[i] - self.rows[i].corners.value(radii_mm));
             fit.errors = errors.of(&sums);
             fit.levels.noise_mm = self.noise_mm(&values, &fit.errors, &errors, radii_mm).max(1e-9 * noise_mm);
             fit.levels.shift_mm = self.shift_level_mm(&sums, fit.levels);
         }
+        eased.is_settled = true;
         fit
     }
 
     /// The offset in time that the motion of the poses makes likeliest at a fit: one Gauss-Newton step, radii and errors
     /// free to follow.
-    pub(super) fn offset(&self, fit: &Fit, roughness: f64, radii_mm: &[f64]) -> Offset {
+    pub(super) fn offset(&self, fit: &Fit, roughness: f64, eased: &Eased, radii_mm: &[f64]) -> Offset {
         let errors = self.errors_at(fit.levels);
         let slides: Vec<f64> = self.rows.iter().map(|row| row.slide_mm).collect();
         let mut follow = vec![0.0; radii_mm.len()];
-        let ease = Ease::at_bends(self.grid, radii_mm, roughness);
-        self.solve(&errors, fit.levels, roughness, &ease, &slides, &mut follow);
+        self.solve(&errors, fit.levels, roughness, &eased.ease, &slides, &mut follow);
         let unseen = errors.of(&self.sums(|i| slides[i] - self.rows[i].corners.value(&follow)));
         let mut information = 0.0;
         let stretch = self.information.len().div_ceil(STRETCHES);
@@ -400,4 +417,35 @@ pub(super) fn corrected(pose: &Pose, error: &Twist, radius_mm: f64) -> Pose {
 pub(super) fn split(error: &Twist, radius_mm: f64) -> (DVec3, DVec3) {
     let [a, b, c, d, e, f] = *error;
     (DVec3::new(a, b, c), DVec3::new(d, e, f) / radius_mm)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_factored_system_is_solved() {
+        let column = |i: usize| std::array::from_fn(|j| 1.0 / (1.0 + (i + j) as f64));
+        let mut matrix: Matrix = std::array::from_fn(column);
+        (0..6).for_each(|i| matrix[i][i] += 0.1);
+        let factored = Cholesky::of(&matrix);
+        let x = [1.0, -2.0, 3.0, 0.5, 0.0, 7.0];
+        let found = factored.solve(&matrix.map(|line| dot(&line, &x)));
+        assert!(found.iter().zip(x).all(|(a, b)| (a - b).abs() < 1e-10), "{found:?}");
+        assert!((factored.trace_of(&matrix) - 6.0).abs() < 1e-10);
+    }
+
+    #[test]
+    fn an_error_that_is_taken_off_leaves_the_pose() {
+        let turn = DVec3::new(0.01, -0.02, 0.03);
+        let truth = Pose { rotation: DMat3::from_rotation_x(0.4), translation_mm: DVec3::new(1.0, 2.0, 3.0) };
+        let wrong = Pose {
+            rotation: DMat3::from_quat(glam::DQuat::from_scaled_axis(turn)) * truth.rotation,
+            translation_mm: truth.translation_mm + DVec3::new(0.3, -0.2, 0.1),
+        };
+        let error = [0.3, -0.2, 0.1, 10.0 * turn.x, 10.0 * turn.y, 10.0 * turn.z];
+        let found = corrected(&wrong, &error, 10.0);
+        assert!(found.rotation.abs_diff_eq(truth.rotation, 1e-12));
+        assert!(found.translation_mm.distance(truth.translation_mm) < 1e-12);
+    }
 }

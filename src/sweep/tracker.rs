@@ -6,7 +6,7 @@
 use super::axis::Axis;
 use super::echo::Echo;
 use super::grid::{Grid, Solver};
-use super::joint::{Joint, Levels, Motion, Offset, Twist, corrected, split};
+use super::joint::{Eased, Joint, Levels, Motion, Offset, Twist, corrected, split};
 use super::wall::{self, Wall};
 use crate::geometry::Pose;
 use crate::recording::Frame;
@@ -35,8 +35,10 @@ pub struct Tracker {
 
 /// Rounds of linearisation; with an offset they go on until a step is below this share of its standard error.
 const LEAST_ROUNDS: usize = 2;
-const MOST_ROUNDS: usize = 8;
-const ENOUGH_ERRORS: f64 = 0.1;
+const MOST_ROUNDS: usize = 6;
+const ENOUGH_ERRORS: f64 = 0.3;
+/// Steps for the offset are taken to be too short by at most this factor.
+const SHORTEST_STEP: f64 = 0.2;
 /// Fits in a round, each with the levels that the one before it left.
 const FITS: usize = 4;
 /// The first guess at the poses' noise, as a share of the echoes'.
@@ -140,18 +142,21 @@ impl Work<'_> {
         let mut levels = Levels { noise_mm: wall.noise_mm, shift_mm: START_SHARE * wall.noise_mm };
         let mut errors = vec![Twist::default(); sensors.len()];
         let mut offset = Offset { seconds: 0.0, standard_error_s: f64::INFINITY };
+        let mut search = Search::default();
+        let mut eased = Eased::default();
         let mut now = sensors.to_vec();
         let mut solver_steps = 0;
         wall.out_of_plane = OUT_OF_PLANE;
         for round in 0..MOST_ROUNDS {
             let joint = Joint::about((grid, &self.solver), axis, &echoes, &wall, &now, &errors, along);
-            let fit = joint.fit(levels, FITS, self.roughness, &mut wall.radii_mm);
+            let fit = joint.fit(levels, FITS, self.roughness, &mut eased, &mut wall.radii_mm);
             let mut is_left = false;
             if motions.is_some() {
-                let step = joint.offset(&fit, self.roughness, &wall.radii_mm);
-                // No motion, no offset. Farther than the window a step is not linear.
+                let step = joint.offset(&fit, self.roughness, &eased, &wall.radii_mm);
+                // No motion, no offset.
                 if step.seconds.is_finite() {
-                    offset.seconds += step.seconds.clamp(-VELOCITY_WINDOW_S, VELOCITY_WINDOW_S);
+                    let step = search.step(offset.seconds, step);
+                    offset.seconds += step.seconds;
                     offset.standard_error_s = step.standard_error_s;
                     is_left = step.seconds.abs() > ENOUGH_ERRORS * step.standard_error_s;
                 }
@@ -177,6 +182,31 @@ impl Work<'_> {
     fn settle(&self, echoes: &mut [Echo], wall: &Wall) {
         for _ in 0..FOOT_STEPS {
             wall::measure(self.scene.grid, echoes, wall, true);
+        }
+    }
+}
+
+/// The search for where Gauss-Newton steps for the offset are nought.
+///
+/// Noise of the wall's slopes makes an offset look better known than it is, and every step too short by the same
+/// factor. Two steps tell the factor: they shrink by as much as the offset explains of them.
+#[derive(Default)]
+struct Search {
+    before: Option<(f64, f64)>,
+}
+
+impl Search {
+    /// The step from an offset, and its standard error, in full length.
+    fn step(&mut self, at_s: f64, step: Offset) -> Offset {
+        let shortened = self.before.map_or(1.0, |(at_before_s, step_before_s)| {
+            (step_before_s - step.seconds) / (at_s - at_before_s)
+        });
+        let shortened = if shortened.is_finite() { shortened.clamp(SHORTEST_STEP, 1.0) } else { 1.0 };
+        self.before = Some((at_s, step.seconds));
+        Offset {
+            // Farther than the window a step is not linear.
+            seconds: (step.seconds / shortened).clamp(-VELOCITY_WINDOW_S, VELOCITY_WINDOW_S),
+            standard_error_s: step.standard_error_s / shortened,
         }
     }
 }
@@ -230,4 +260,35 @@ fn motions(frames: &[Frame]) -> Result<Vec<Motion>> {
         motion
     };
     Ok((0..frames.len()).map(of_frame).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_steady_motion_is_found_and_followed() {
+        let (speed, spin) = (DVec3::new(2.0, 0.0, -1.0), DVec3::new(0.0, 0.3, 0.0));
+        let at = |time_s: f64| Pose {
+            rotation: DMat3::from_quat(DQuat::from_scaled_axis(spin * time_s)) * DMat3::from_rotation_x(1.0),
+            translation_mm: speed * time_s,
+        };
+        let frame = |k: u32| {
+            let time_s = 0.08 * f64::from(k);
+            Frame {
+                world_from_sensor: at(time_s),
+                time_s: Some(time_s),
+                contour_mm: Vec::new(),
+                cylinder: None,
+            }
+        };
+        let frames: Vec<Frame> = (0..30).map(frame).collect();
+        let sensors: Vec<Pose> = frames.iter().map(|f| f.world_from_sensor).collect();
+        let later = moved(&sensors, &motions(&frames).unwrap(), 0.2);
+        for (frame, pose) in frames.iter().zip(later) {
+            let there = at(frame.time_s.unwrap() + 0.2);
+            assert!(pose.translation_mm.distance(there.translation_mm) < 1e-9, "{pose:?}");
+            assert!(pose.rotation.abs_diff_eq(there.rotation, 1e-9), "{pose:?}");
+        }
+    }
 }

@@ -63,11 +63,8 @@ pub(super) fn refit(grid: &Grid, echoes: &mut [Echo], roughness: f64, mut wall: 
         let equations = equations(grid, echoes, &wall, rough);
         let before = wall.radii_mm.clone();
         let tolerance = (SOLVED_NOISE_SHARE * wall.noise_mm / start).max(1e-10);
-        wall.solver_steps += solver.solve(
-            &System::plain(&equations, wall.smoothness_mm2),
-            tolerance,
-            &mut wall.radii_mm,
-        );
+        wall.solver_steps +=
+            solver.solve(&System::plain(&equations, wall.smoothness_mm2), tolerance, &mut wall.radii_mm);
         wall.iterations = iteration + 1;
         let travel = before.iter().zip(&wall.radii_mm).map(|(a, b)| (a - b).abs()).sum::<f64>();
         let travel = travel / before.len() as f64;

@@ -27,3 +27,4 @@ mod simulate;
 mod stdout;
 mod surface;
 mod sweep;
+mod tracker;
