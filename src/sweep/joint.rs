@@ -333,7 +333,7 @@ impl<'a> Joint<'a> {
                 })
                 .collect();
             let [pulled, expected] = terms.iter().fold([0.0; 2], |[a, b], [c, d]| [a + c, b + d]);
-            if !(expected > 0.0) {
+            if expected.is_nan() || expected <= 0.0 {
                 break;
             }
             levels.shift_mm *= (pulled / expected).powf(0.25);

@@ -2,7 +2,7 @@
 //! squares (`docs/methods.md`).
 //!
 //! Contours and poses are all it needs. Data flows one way: contour centres → `centreline` → `axis` → echoes about the
-//! axis → `wall` → support of every node → surface.
+//! axis → `wall` → support of every node → surface. Where settings ask for it, `tracker` moves the poses in between.
 
 mod axis;
 mod banded;

@@ -38,7 +38,7 @@ const LEAST_ROUNDS: usize = 2;
 const MOST_ROUNDS: usize = 6;
 const ENOUGH_ERRORS: f64 = 0.3;
 /// Steps for the offset are taken to be too short by at most this factor.
-const SHORTEST_STEP: f64 = 0.2;
+const LEAST_FACTOR: f64 = 0.2;
 /// Fits in a round, each with the levels that the one before it left.
 const FITS: usize = 4;
 /// The first guess at the poses' noise, as a share of the echoes'.
@@ -142,7 +142,7 @@ impl Work<'_> {
         let mut levels = Levels { noise_mm: wall.noise_mm, shift_mm: START_SHARE * wall.noise_mm };
         let mut errors = vec![Twist::default(); sensors.len()];
         let mut offset = Offset { seconds: 0.0, standard_error_s: f64::INFINITY };
-        let mut search = Search::default();
+        let mut search = Search::new();
         let mut eased = Eased::default();
         let mut now = sensors.to_vec();
         let mut solver_steps = 0;
@@ -190,23 +190,30 @@ impl Work<'_> {
 ///
 /// Noise of the wall's slopes makes an offset look better known than it is, and every step too short by the same
 /// factor. Two steps tell the factor: they shrink by as much as the offset explains of them.
-#[derive(Default)]
 struct Search {
     before: Option<(f64, f64)>,
+    factor: f64,
 }
 
 impl Search {
+    fn new() -> Self {
+        Self { before: None, factor: 1.0 }
+    }
+
     /// The step from an offset, and its standard error, in full length.
     fn step(&mut self, at_s: f64, step: Offset) -> Offset {
-        let shortened = self.before.map_or(1.0, |(at_before_s, step_before_s)| {
-            (step_before_s - step.seconds) / (at_s - at_before_s)
-        });
-        let shortened = if shortened.is_finite() { shortened.clamp(SHORTEST_STEP, 1.0) } else { 1.0 };
+        if let Some((at_before_s, step_before_s)) = self.before {
+            let way_s = at_s - at_before_s;
+            // On a shorter way the difference of two steps is mostly noise.
+            if way_s.abs() > step.standard_error_s {
+                self.factor = ((step_before_s - step.seconds) / way_s).clamp(LEAST_FACTOR, 1.0);
+            }
+        }
         self.before = Some((at_s, step.seconds));
         Offset {
             // Farther than the window a step is not linear.
-            seconds: (step.seconds / shortened).clamp(-VELOCITY_WINDOW_S, VELOCITY_WINDOW_S),
-            standard_error_s: step.standard_error_s / shortened,
+            seconds: (step.seconds / self.factor).clamp(-VELOCITY_WINDOW_S, VELOCITY_WINDOW_S),
+            standard_error_s: step.standard_error_s / self.factor,
         }
     }
 }
