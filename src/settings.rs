@@ -114,11 +114,23 @@ pub struct Sweep {
     pub roughness: f64,
     /// Whether the surface keeps the parts that no echo supports.
     pub keep_unsupported: bool,
+    /// Whether a small error of every pose is estimated along with the wall and taken off. Pays where the tracker is
+    /// noisier than 0.3 mm and 0.5°, or frames are sparse; takes several times as long.
+    pub correct_poses: bool,
+    /// Whether a constant offset in time between poses and contours is estimated, and taken off where it is
+    /// significant; frames must have times.
+    pub estimate_offset: bool,
 }
 
 impl Default for Sweep {
     fn default() -> Self {
-        Self { nodes: None, roughness: 0.125, keep_unsupported: false }
+        Self {
+            nodes: None,
+            roughness: 0.125,
+            keep_unsupported: false,
+            correct_poses: false,
+            estimate_offset: false,
+        }
     }
 }
 

@@ -16,6 +16,7 @@ use std::path::PathBuf;
   lumenmesh reconstruct pullback.mat -o vessel.vtp
   lumenmesh reconstruct pullback.mat -o vessel.vtp --sweep-nodes 128 --keep-unsupported
   lumenmesh reconstruct pullback.mat -o vessel.stl --config settings.toml --json > report.json
+  lumenmesh reconstruct pullback.mat -o vessel.vtp --correct-poses --estimate-offset
   lumenmesh reconstruct recording/ -o vessel.ply --method cylinders --nodes 24 --levels 8
   lumenmesh reconstruct pullback.mat -o vessel.vtp --method cylinders --cylinders cylinders.csv")]
 pub(super) struct Arguments {
@@ -126,13 +127,30 @@ fn print_sweep(report: &sweep::Report) {
         "vessel     {} rings, {} nodes, {} of them supported; {} iterations, {} solver steps",
         report.rings, report.nodes, report.supported, report.iterations, report.solver_steps
     );
+    if let Some(tracker) = &report.tracker {
+        print_tracker(tracker);
+    }
     println!(
-        "time       {:.1} ms axis, {:.1} ms placing echoes, {:.1} ms fitting, {:.1} ms weighing support",
+        "time       {:.1} ms axis, {:.1} ms placing echoes, {:.1} ms fitting, {:.1} ms correcting poses, {:.1} ms \
+         weighing support",
         seconds.axis * 1e3,
         seconds.place * 1e3,
         seconds.fit * 1e3,
+        seconds.tracker * 1e3,
         seconds.support * 1e3
     );
+}
+
+/// What the tracker got wrong.
+fn print_tracker(tracker: &sweep::Tracker) {
+    println!(
+        "tracker    noise of {:.3} mm an axis; {:.3} mm and {:.3}° taken off (root mean square)",
+        tracker.noise_mm, tracker.shift_mm, tracker.turn_deg
+    );
+    if let (Some(offset_s), Some(error_s)) = (tracker.offset_s, tracker.offset_standard_error_s) {
+        let done = if tracker.offset_corrected { "corrected" } else { "not significant, left" };
+        println!("           poses {offset_s:.4} ± {error_s:.4} s older than contours: {done}");
+    }
 }
 
 /// What computed, and why where it was chosen.

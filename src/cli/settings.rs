@@ -55,6 +55,12 @@ pub(super) struct SettingsArguments {
     /// Of a sweep: keep the parts that no echo supports
     #[arg(long)]
     keep_unsupported: bool,
+    /// Of a sweep: estimate a small error of every pose along with the wall and take it off
+    #[arg(long)]
+    correct_poses: bool,
+    /// Of a sweep: estimate how much older poses are than contours, and correct it where significant
+    #[arg(long)]
+    estimate_offset: bool,
     /// Probe in the tracker sensor's frame: position in mm and unit quaternion [default: 0,0,0,0,0,0,1]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = numbers::<7>, allow_hyphen_values = true)]
     calibration: Option<[f64; 7]>,
@@ -91,6 +97,8 @@ impl SettingsArguments {
         }
         set(&mut settings.sweep.roughness, self.roughness);
         settings.sweep.keep_unsupported |= self.keep_unsupported;
+        settings.sweep.correct_poses |= self.correct_poses;
+        settings.sweep.estimate_offset |= self.estimate_offset;
         if let Some([x, y, z, qx, qy, qz, qw]) = self.calibration {
             settings.calibration.position_mm = [x, y, z];
             settings.calibration.quaternion = [qx, qy, qz, qw];
@@ -117,6 +125,8 @@ impl SettingsArguments {
             ("sweep.nodes", self.sweep_nodes.is_some()),
             ("sweep.roughness", self.roughness.is_some()),
             ("sweep.keep_unsupported", self.keep_unsupported),
+            ("sweep.correct_poses", self.correct_poses),
+            ("sweep.estimate_offset", self.estimate_offset),
         ];
         let (flags, found, expected) = match method {
             Method::Sweep => (&of_cylinders[..], "a flag for the method sweep", "--method cylinders with it"),

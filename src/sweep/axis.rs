@@ -105,6 +105,18 @@ impl Axis {
         })
     }
 
+    /// The point at coordinates about the axis, mm, and the [directions](Place::directions) there.
+    pub(super) fn at(&self, ring: f64, theta_rad: f64, radius_mm: f64) -> (DVec3, DMat3) {
+        let k = (ring.max(0.0) as usize).min(self.rings() - 2);
+        let u = ring - k as f64;
+        let (a, b) = (&self.frames[k], &self.frames[k + 1]);
+        let [x, y, z] = [0, 1, 2].map(|i| a.col(i).lerp(b.col(i), u));
+        let (sin, cos) = theta_rad.sin_cos();
+        let outwards = x * cos + y * sin;
+        let origin = self.points_mm[k].lerp(self.points_mm[k + 1], u);
+        (origin + outwards * radius_mm, DMat3::from_cols(outwards, y * cos - x * sin, z))
+    }
+
     /// The point at angle `theta_rad` and distance `radius_mm` from ring `ring`'s origin, mm.
     pub(super) fn point_mm(&self, ring: usize, theta_rad: f64, radius_mm: f64) -> DVec3 {
         let (sin, cos) = theta_rad.sin_cos();
@@ -182,6 +194,9 @@ mod tests {
             assert!((place.ring - ring as f64).abs() < 1e-9, "{place:?}");
             assert!((place.theta_rad - theta).abs() < 1e-9, "{place:?}");
             assert!((place.radius_mm - radius).abs() < 1e-9, "{place:?}");
+            let (there, directions) = axis.at(place.ring, place.theta_rad, place.radius_mm);
+            assert!(there.distance(point) < 1e-9, "{there}");
+            assert!(directions.abs_diff_eq(place.directions, 1e-9), "{directions}");
         }
     }
 

@@ -10,18 +10,28 @@ pub(super) struct Pentadiagonal {
 }
 
 impl Pentadiagonal {
-    /// `weight` times the squares of all second differences. Needs three rows.
+    /// A matrix of zeros.
+    pub(super) fn zeros(count: usize) -> Self {
+        Self { rows: vec![[0.0; 3]; count] }
+    }
+
+    /// `weight` times the squares of all second differences.
     pub(super) fn second_differences(count: usize, weight: f64) -> Self {
-        let mut matrix = Self { rows: vec![[0.0; 3]; count] };
-        for i in 0..count.saturating_sub(2) {
-            matrix.rows[i][0] += weight;
-            matrix.rows[i][1] -= 2.0 * weight;
-            matrix.rows[i][2] += weight;
-            matrix.rows[i + 1][0] += 4.0 * weight;
-            matrix.rows[i + 1][1] -= 2.0 * weight;
-            matrix.rows[i + 2][0] += weight;
+        let mut matrix = Self::zeros(count);
+        for row in 0..count.saturating_sub(2) {
+            matrix.add_bend(row, weight);
         }
         matrix
+    }
+
+    /// Adds `weight` times the square of the second difference of rows `row` to `row + 2`.
+    pub(super) fn add_bend(&mut self, row: usize, weight: f64) {
+        self.rows[row][0] += weight;
+        self.rows[row][1] -= 2.0 * weight;
+        self.rows[row][2] += weight;
+        self.rows[row + 1][0] += 4.0 * weight;
+        self.rows[row + 1][1] -= 2.0 * weight;
+        self.rows[row + 2][0] += weight;
     }
 
     /// Adds `weight` times the square of a combination of rows `row` and `row + 1`.

@@ -2,6 +2,7 @@
 
 use super::axis::Place;
 use super::grid::Grid;
+use super::wall::Wall;
 use glam::DVec3;
 use std::f64::consts::TAU;
 
@@ -52,6 +53,11 @@ impl Echo {
         self.ring
     }
 
+    /// About the axis, rad.
+    pub(super) fn theta_rad(&self, nodes: usize) -> f64 {
+        self.node / nodes as f64 * TAU
+    }
+
     /// Where its foot is: ring and node.
     pub(super) fn foot(&self) -> (f64, f64) {
         (self.ring + self.shift[0], self.node + self.shift[1])
@@ -83,11 +89,13 @@ impl Echo {
 
     /// Finds the foot on the wall and measures the way to it.
     ///
-    /// Errors of an echo have covariance `Σ ∝ I - (1 - ε) z zᵀ` with z the image plane's normal, so the likeliest point
+    /// Errors of an echo have covariance `Σ ∝ I - (1 - ε) z zᵀ` with z the image plane's normal and ε the wall's
+    /// `out_of_plane`, so the likeliest point
     /// of the wall lies along `Σn`, n being the wall's normal, at `nᵀd / √(nᵀΣn)` standard deviations. Straight down to
     /// the axis instead, an echo that noise moved outwards along a tilted plane would be held against the wall
     /// farther along: where a catheter rests tilted, that lifts the wall by as much as the noise.
-    pub(super) fn measure(&mut self, grid: &Grid, radii: &[f64], noise: f64, feet: bool) -> Measured {
+    pub(super) fn measure(&mut self, grid: &Grid, wall: &Wall, feet: bool) -> Measured {
+        let Wall { radii_mm: radii, noise_mm: noise, out_of_plane, .. } = wall;
         let (ring, node) = self.foot();
         let corners = grid.corners(ring, node);
         let [r0, r1, r2] = corners.nodes.map(|n| radii[n]);
@@ -100,7 +108,7 @@ impl Echo {
         let normal = DVec3::new(1.0, -per_node / arc, -per_ring / step).normalize();
         let way = DVec3::new(self.radius_mm - wall, -self.shift[1] * arc, -self.shift[0] * step);
         let tilt = normal.dot(self.image_normal);
-        let likeliest = normal - self.image_normal * ((1.0 - OUT_OF_PLANE) * tilt);
+        let likeliest = normal - self.image_normal * ((1.0 - out_of_plane) * tilt);
         let variance = normal.dot(likeliest);
         let across = normal.dot(way);
         self.miss_mm = across / variance.sqrt();
@@ -109,7 +117,8 @@ impl Echo {
             let shift = likeliest * (-across / variance * reach);
             self.shift = [shift.z / step, shift.y / arc];
         }
-        Measured { radial_mm: across / normal.x, weight: normal.x * normal.x / variance, wall_mm: wall }
+        let weight = normal.x * normal.x / variance;
+        Measured { radial_mm: across / normal.x, weight, wall_mm: wall, normal }
     }
 
     /// Whether the echo was seen on this wall.
@@ -131,4 +140,6 @@ pub(super) struct Measured {
     pub weight: f64,
     /// The radius there so far, mm.
     pub wall_mm: f64,
+    /// The wall's unit normal there: away from the axis, about it, along it.
+    pub normal: DVec3,
 }

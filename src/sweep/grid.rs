@@ -30,6 +30,11 @@ pub(super) struct Corners {
 }
 
 impl Corners {
+    /// The value there of a function on the grid.
+    pub(super) fn value(&self, x: &[f64]) -> f64 {
+        self.nodes.iter().zip(self.weights).map(|(&node, weight)| x[node] * weight).sum()
+    }
+
     /// The node that has the largest weight.
     pub(super) fn nearest(&self) -> usize {
         let nearest = (1..3).fold(0, |best, k| if self.weights[k] > self.weights[best] { k } else { best });
@@ -83,25 +88,36 @@ impl Grid {
     }
 
     /// The equations along the axis of waves of that frequency about it, where each ring has even weights.
-    pub(super) fn system(&self, frequency: usize, weights: &[f64], smoothness: f64) -> Pentadiagonal {
+    pub(super) fn system(
+        &self,
+        frequency: usize,
+        weights: &[f64],
+        smoothness: f64,
+        ease: &Ease,
+    ) -> Pentadiagonal {
         let Self { rings, nodes, step_mm, arc_mm } = *self;
         let area = smoothness * self.cell_mm2();
         let around = (2.0 - 2.0 * (TAU * frequency as f64 / nodes as f64).cos()) / (arc_mm * arc_mm);
-        let mut system = Pentadiagonal::second_differences(rings, area / step_mm.powi(4));
+        let mut system = Pentadiagonal::zeros(rings);
+        for ring in 0..rings - 2 {
+            system.add_bend(ring, area / step_mm.powi(4) * ease.of(ring + 1));
+        }
         for (ring, weight) in weights.iter().enumerate() {
-            system.add_diagonal(ring, weight + area * around * around);
+            system.add_diagonal(ring, weight + area * around * around * ease.of(ring));
         }
         for ring in 0..rings - 1 {
-            system.add_pair(ring, 2.0 * area * around / (step_mm * step_mm), [-1.0, 1.0]);
+            let twist = 2.0 * area * around / (step_mm * step_mm);
+            system.add_pair(ring, twist * ease.of(ring), [-1.0, 1.0]);
         }
         system
     }
 
-    /// Adds the gradient of the bending energy `½ ∫ r_ss² + 2 r_sθ² + r_θθ² dA` at `x`, times `weight`, to `out`.
+    /// Adds the gradient of the bending energy `½ ∫ r_ss² + 2 r_sθ² + r_θθ² dA` at `x`, times `weight` and the rings'
+    /// `ease`, to `out`.
     ///
     /// Second differences along the axis are left out on the end rings: a straight wall bends nowhere, so ends
     /// are free and a cone stays a cone.
-    pub(super) fn add_bending(&self, x: &[f64], weight: f64, out: &mut [f64]) {
+    pub(super) fn add_bending(&self, x: &[f64], weight: f64, ease: &Ease, out: &mut [f64]) {
         let Self { rings, nodes, step_mm, arc_mm } = *self;
         let area = self.cell_mm2() * weight;
         let along = area / step_mm.powi(4);
@@ -111,6 +127,7 @@ impl Grid {
         let mut bend = vec![0.0; nodes];
         for k in 0..rings {
             let row = k * nodes;
+            let [along, around, twist] = [along, around, twist].map(|weight| weight * ease.of(k));
             if k >= 1 && k + 1 < rings {
                 for i in row..row + nodes {
                     let d = along * (x[i - nodes] - 2.0 * x[i] + x[i + nodes]);
@@ -141,6 +158,39 @@ impl Grid {
     }
 }
 
+/// How much the bending of each ring counts; 1 for all by default.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Ease(Vec<f64>);
+
+impl Ease {
+    fn of(&self, ring: usize) -> f64 {
+        self.0.get(ring).copied().unwrap_or(1.0)
+    }
+
+    /// For a wall whose bending is not the same everywhere.
+    ///
+    /// Were it normal with the roughness τ, an expected `∫ |bending|²` of τ² would belong to each of its degrees of
+    /// freedom. With Student's t in its stead, a ring that bends by more counts less, in proportion: the weights of
+    /// iteratively reweighted least squares.
+    pub(super) fn at_bends(grid: &Grid, radii_mm: &[f64], roughness: f64) -> Self {
+        let energies = grid.ring_energies(radii_mm);
+        let about = |k: usize| &energies[k.saturating_sub(1)..(k + 2).min(grid.rings)];
+        let weight = |k: usize| {
+            let energy = about(k).iter().sum::<f64>() / about(k).len() as f64;
+            let freedom = energy / (roughness * roughness);
+            ((EASE_FREEDOM + EASE_RING) / (EASE_FREEDOM + freedom)).clamp(LEAST_EASE, 1.0)
+        };
+        Self((0..grid.rings).map(weight).collect())
+    }
+}
+
+/// Degrees of freedom of Student's t, …
+const EASE_FREEDOM: f64 = 4.0;
+/// … and of a ring: about two, each for the lowest two harmonics.
+const EASE_RING: f64 = 4.0;
+/// A wall is never taken to be rougher than ten times the roughness.
+const LEAST_EASE: f64 = 0.01;
+
 /// Weighted sums over points, as far as they couple neighbouring nodes.
 #[derive(Debug, Clone)]
 pub(super) struct Equations {
@@ -148,6 +198,49 @@ pub(super) struct Equations {
     first: usize,
     /// Per node: coupling to itself, to (k, j+1), (k+1, j) and (k+1, j+1), and the right-hand side.
     rows: Vec<[f64; 5]>,
+}
+
+impl Grid {
+    /// `∫ |bending|² dA` over each ring.
+    fn ring_energies(&self, x: &[f64]) -> Vec<f64> {
+        let Self { rings, nodes, step_mm, arc_mm } = *self;
+        let bends = |k: usize, j: usize| {
+            let (i, next) = (k * nodes + j, k * nodes + (j + 1) % nodes);
+            let before = k * nodes + (j + nodes - 1) % nodes;
+            let around = (x[before] - 2.0 * x[i] + x[next]) / (arc_mm * arc_mm);
+            let mut sum = around * around;
+            if k + 1 < rings {
+                let twist = (x[next + nodes] - x[i + nodes] - x[next] + x[i]) / (step_mm * arc_mm);
+                sum += 2.0 * twist * twist;
+                if k >= 1 {
+                    let along = (x[i - nodes] - 2.0 * x[i] + x[i + nodes]) / (step_mm * step_mm);
+                    sum += along * along;
+                }
+            }
+            sum
+        };
+        (0..rings).map(|k| (0..nodes).map(|j| bends(k, j)).sum::<f64>() * self.cell_mm2()).collect()
+    }
+}
+
+/// What is solved for: points, the wall's smoothness, and what else couples nodes.
+pub(super) struct System<'a> {
+    pub equations: &'a Equations,
+    /// λ, mm².
+    pub smoothness_mm2: f64,
+    pub ease: &'a Ease,
+    /// Adds further couplings, times x, to the product.
+    pub coupling: &'a dyn Fn(&[f64], &mut [f64]),
+    /// Share of the points' weight that these leave to the first harmonic of a ring, for the preconditioner.
+    pub first_harmonic: f64,
+}
+
+impl<'a> System<'a> {
+    /// Points and smoothness alone.
+    pub(super) fn plain(equations: &'a Equations, smoothness_mm2: f64) -> Self {
+        const EVEN: &Ease = &Ease(Vec::new());
+        Self { equations, smoothness_mm2, ease: EVEN, coupling: &|_, _| (), first_harmonic: 1.0 }
+    }
 }
 
 impl Equations {
@@ -242,20 +335,16 @@ impl Solver {
     }
 
     /// Improves `x` until the residual is `tolerance` times that of `x = 0`; returns the number of steps.
-    pub(super) fn solve(
-        &self,
-        equations: &Equations,
-        smoothness: f64,
-        tolerance: f64,
-        x: &mut [f64],
-    ) -> usize {
+    pub(super) fn solve(&self, system: &System, tolerance: f64, x: &mut [f64]) -> usize {
+        let System { equations, smoothness_mm2, ease, coupling, .. } = *system;
         let count = self.grid.node_count();
-        let precondition = self.preconditioner(equations, smoothness);
+        let precondition = self.preconditioner(system);
         let right: Vec<f64> = equations.rows.iter().map(|row| row[4]).collect();
         let mut product = vec![0.0; count];
         let apply = |x: &[f64], out: &mut [f64]| {
             equations.apply(&self.grid, x, out);
-            self.grid.add_bending(x, smoothness, out);
+            coupling(x, out);
+            self.grid.add_bending(x, smoothness_mm2, ease, out);
         };
         apply(x, &mut product);
         let mut residual: Vec<f64> = right.iter().zip(&product).map(|(b, a)| b - a).collect();
@@ -294,21 +383,26 @@ impl Solver {
     }
 
     /// One system for each frequency about the axis.
-    fn preconditioner(&self, equations: &Equations, smoothness: f64) -> Vec<Factored> {
-        self.even_preconditioner(equations.ring_weights(&self.grid), smoothness)
-    }
-
-    fn even_preconditioner(&self, ring_weights: Vec<f64>, smoothness: f64) -> Vec<Factored> {
-        let weights = self.grid.even_weights(ring_weights);
+    fn preconditioner(&self, system: &System) -> Vec<Factored> {
+        let System { equations, smoothness_mm2, ease, first_harmonic, .. } = *system;
+        let weights = self.grid.even_weights(equations.ring_weights(&self.grid));
         (0..=self.grid.nodes / 2)
-            .filter_map(|frequency| self.grid.system(frequency, &weights, smoothness).factored())
+            .filter_map(|frequency| {
+                let share = if frequency == 1 { first_harmonic } else { 1.0 };
+                let weights: Vec<f64> = weights.iter().map(|weight| weight * share).collect();
+                self.grid.system(frequency, &weights, smoothness_mm2, ease).factored()
+            })
             .collect()
     }
 
     /// The preconditioner of rings of these weights, applied to `x`.
     #[cfg(all(test, feature = "gpu"))]
     pub(super) fn precondition_evenly(&self, ring_weights: Vec<f64>, smoothness: f64, x: &mut [f64]) {
-        self.precondition(&self.even_preconditioner(ring_weights, smoothness), x);
+        let weights = self.grid.even_weights(ring_weights);
+        let system =
+            |frequency| self.grid.system(frequency, &weights, smoothness, &Ease::default()).factored();
+        let systems: Vec<Factored> = (0..=self.grid.nodes / 2).filter_map(system).collect();
+        self.precondition(&systems, x);
     }
 
     fn precondition(&self, systems: &[Factored], x: &mut [f64]) {
@@ -364,7 +458,7 @@ mod tests {
     fn residual(equations: &Equations, smoothness: f64, x: &[f64]) -> f64 {
         let mut product = vec![0.0; x.len()];
         equations.apply(&GRID, x, &mut product);
-        GRID.add_bending(x, smoothness, &mut product);
+        GRID.add_bending(x, smoothness, &Ease::default(), &mut product);
         product.iter().zip(&equations.rows).map(|(a, row)| (a - row[4]).abs()).fold(0.0, f64::max)
     }
 
@@ -389,12 +483,22 @@ mod tests {
     fn a_cone_bends_nowhere() {
         let cone: Vec<f64> = (0..48).map(|i| 5.0 + 0.3 * f64::from(i / 8)).collect();
         let mut bending = vec![0.0; 48];
-        GRID.add_bending(&cone, 7.0, &mut bending);
+        GRID.add_bending(&cone, 7.0, &Ease::default(), &mut bending);
         assert!(bending.iter().all(|b| b.abs() < 1e-9), "{bending:?}");
         let mut dented = cone;
         dented[20] += 1.0;
-        GRID.add_bending(&dented, 7.0, &mut bending);
+        GRID.add_bending(&dented, 7.0, &Ease::default(), &mut bending);
         assert!(bending[20] > 1.0);
+    }
+
+    #[test]
+    fn a_wall_is_eased_where_it_bends() {
+        let cone: Vec<f64> = (0..48).map(|i| 5.0 + 0.3 * f64::from(i / 8)).collect();
+        let even = Ease::at_bends(&GRID, &cone, 0.1);
+        assert!((0..6).all(|k| even.of(k) == 1.0), "{even:?}");
+        let step: Vec<f64> = (0..48).map(|i| if i < 8 { 5.0 } else { 8.0 }).collect();
+        let eased = Ease::at_bends(&GRID, &step, 0.1);
+        assert!(eased.of(1) < 0.1 && eased.of(5) == 1.0, "{eased:?}");
     }
 
     #[test]
@@ -402,7 +506,7 @@ mod tests {
         let equations = some_equations();
         for smoothness in [1e-4, 1.0, 1e4] {
             let mut x = vec![0.0; 48];
-            let steps = Solver::new(GRID).solve(&equations, smoothness, 1e-12, &mut x);
+            let steps = Solver::new(GRID).solve(&System::plain(&equations, smoothness), 1e-12, &mut x);
             let scale = 1.0 + smoothness;
             assert!(residual(&equations, smoothness, &x) < 1e-9 * scale, "{smoothness}: {steps} steps");
             assert!(steps < MOST_STEPS, "{smoothness}");

@@ -2,7 +2,8 @@
 //! squares (`docs/methods.md`).
 //!
 //! Contours and poses are all it needs. Data flows one way: outlines of the contours → `centreline` → `axis` → echoes about the
-//! axis → `wall` → support of every node → surface.
+//! axis → `wall` → support of every node → surface. Where settings ask for it, `tracker`
+//! moves the poses in between.
 
 mod axis;
 mod banded;
@@ -13,12 +14,15 @@ mod engine;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 mod grid;
+mod joint;
 pub mod passes;
 mod support;
+mod tracker;
 mod wall;
 
 pub use axis::Axis;
 pub use support::Support;
+pub use tracker::Tracker;
 
 use crate::fit::EngineDescription;
 use crate::geometry::Pose;
@@ -36,6 +40,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 use std::time::Instant;
+use tracker::Scene;
 use wall::Wall;
 
 /// A vessel swept along its centreline.
@@ -94,6 +99,8 @@ pub struct Report {
     pub iterations: usize,
     /// Steps of the solver, summed over the iterations.
     pub solver_steps: usize,
+    /// Errors of the tracker, where settings ask for them.
+    pub tracker: Option<Tracker>,
     /// How long each stage took.
     pub seconds: StageSeconds,
 }
@@ -107,6 +114,8 @@ pub struct StageSeconds {
     pub place: f64,
     /// Fitting the wall.
     pub fit: f64,
+    /// Correcting what the tracker got wrong.
+    pub tracker: f64,
     /// Weighing its support.
     pub support: f64,
 }
@@ -190,13 +199,27 @@ impl Sweep {
         let start = Instant::now();
         let grid = Grid::new(axis.rings(), nodes, axis.step_mm, radius_mm);
         let (mut wall, engine) = fit(&grid, &mut echoes)?;
+        let fit_seconds = start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        let tracker = match settings.sweep.correct_poses || settings.sweep.estimate_offset {
+            true => {
+                let place = |sensors: &[Pose]| {
+                    let poses: Vec<_> = sensors.iter().map(|&sensor| sensor * sensor_from_probe).collect();
+                    placed(frames, &poses, &axis, nodes)
+                };
+                let scene = Scene { grid: &grid, axis: &axis, frames, place: &place };
+                Some(Tracker::correct(&scene, &settings.sweep, &mut echoes, &mut wall)?)
+            }
+            false => None,
+        };
+        let tracker_seconds = start.elapsed().as_secs_f64();
         // Noise along a round wall moves echoes outwards: half its variance times the wall's curvature.
         let tangential_noise_mm = tangential_noise_mm(frames).min(wall.noise_mm);
         for radius in &mut wall.radii_mm {
             *radius -=
                 tangential_noise_mm * tangential_noise_mm / (2.0 * radius.abs().max(tangential_noise_mm));
         }
-        let fit_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
         let support = Support::of(&grid, &echoes, &wall);
@@ -225,10 +248,12 @@ impl Sweep {
             smoothness_mm2: wall.smoothness_mm2,
             iterations: wall.iterations,
             solver_steps: wall.solver_steps,
+            tracker,
             seconds: StageSeconds {
                 axis: axis_seconds,
                 place: place_seconds,
                 fit: fit_seconds,
+                tracker: tracker_seconds,
                 support: start.elapsed().as_secs_f64(),
             },
         };

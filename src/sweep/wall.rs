@@ -1,7 +1,7 @@
 //! The wall about the axis: robust penalised least squares on radii, with every echo measured across the wall.
 
-use super::echo::{Echo, gate};
-use super::grid::{Equations, Grid, Solver};
+use super::echo::{Echo, OUT_OF_PLANE, gate};
+use super::grid::{Equations, Grid, Solver, System};
 use super::median;
 use crate::Result;
 use rayon::prelude::*;
@@ -14,6 +14,8 @@ pub(super) struct Wall {
     pub noise_mm: f64,
     /// λ, mm².
     pub smoothness_mm2: f64,
+    /// Share of the noise's variance across the image plane.
+    pub out_of_plane: f64,
     pub iterations: usize,
     pub solver_steps: usize,
 }
@@ -75,19 +77,46 @@ pub(super) fn start_mm(echoes: &[Echo]) -> f64 {
     median(&mut echoes.iter().map(|e| e.radius_mm).collect::<Vec<_>>())
 }
 
+impl Wall {
+    /// A tube that no echo has been held against yet.
+    pub(super) fn tube(grid: &Grid, radius_mm: f64) -> Self {
+        Self {
+            radii_mm: vec![radius_mm; grid.node_count()],
+            noise_mm: radius_mm,
+            smoothness_mm2: 0.0,
+            out_of_plane: OUT_OF_PLANE,
+            iterations: 0,
+            solver_steps: 0,
+        }
+    }
+}
+
 /// Fits a wall. `roughness` is τ: λ = (noise/τ)².
-pub(super) fn fit(mut engine: impl WallEngine, grid: &Grid, start_mm: f64, roughness: f64) -> Result<Wall> {
-    let mut wall = Wall {
-        radii_mm: Vec::new(),
-        noise_mm: start_mm,
-        smoothness_mm2: 0.0,
-        iterations: 0,
-        solver_steps: 0,
-    };
-    for iteration in 0..MOST_ITERATIONS {
+pub(super) fn fit(engine: impl WallEngine, grid: &Grid, start_mm: f64, roughness: f64) -> Result<Wall> {
+    let tube = Wall { radii_mm: Vec::new(), ..Wall::tube(grid, start_mm) };
+    reweighted(engine, grid, start_mm, roughness, tube)
+}
+
+/// Goes on from a fitted wall, on the CPU.
+pub(super) fn refit(grid: &Grid, echoes: &mut [Echo], roughness: f64, wall: Wall) -> Result<Wall> {
+    let start_mm = start_mm(echoes);
+    let engine = OnCpu { grid, echoes, solver: Solver::new(*grid), wall: wall.clone() };
+    reweighted(engine, grid, start_mm, roughness, wall)
+}
+
+/// The first iterations of a wall are rough ones.
+fn reweighted(
+    mut engine: impl WallEngine,
+    grid: &Grid,
+    start_mm: f64,
+    roughness: f64,
+    mut wall: Wall,
+) -> Result<Wall> {
+    let first = wall.iterations;
+    for iteration in first..first + MOST_ITERATIONS {
         let rough = iteration < ROUGH_ITERATIONS;
         let miss_mm = engine.measure(wall.noise_mm, !rough)?;
-        wall.noise_mm = noise_mm(miss_mm).hypot(CELL_NOISE * roughness * grid.arc_mm);
+        wall.noise_mm = smoothed_noise(grid, noise_mm(miss_mm), roughness);
         wall.smoothness_mm2 = (wall.noise_mm / roughness).powi(2);
         let drawn = engine.draw(&Round {
             noise_mm: wall.noise_mm,
@@ -112,22 +141,41 @@ fn noise_mm(median_miss_mm: f64) -> f64 {
     1.4826 * median_miss_mm
 }
 
+/// The noise with what is added to it so that perfect echoes are not interpolated, mm.
+pub(super) fn smoothed_noise(grid: &Grid, noise_mm: f64, roughness: f64) -> f64 {
+    noise_mm.hypot(CELL_NOISE * roughness * grid.arc_mm)
+}
+
+/// Huber's weight of an echo that lies `miss_mm` off the wall.
+pub(super) fn huber(noise_mm: f64, miss_mm: f64) -> f64 {
+    (HUBER * noise_mm / miss_mm.max(f64::MIN_POSITIVE)).min(1.0)
+}
+
+/// Measures every echo against the wall, and with `feet` moves its foot.
+pub(super) fn measure(grid: &Grid, echoes: &mut [Echo], wall: &Wall, feet: bool) {
+    echoes.par_chunks_mut(TASK).for_each(|task| {
+        for echo in task {
+            echo.measure(grid, wall, feet);
+        }
+    });
+}
+
 /// The fit on the CPU, in f64.
 pub(super) struct OnCpu<'a> {
     grid: &'a Grid,
     echoes: &'a mut [Echo],
     solver: Solver,
-    radii_mm: Vec<f64>,
+    wall: Wall,
 }
 
 impl<'a> OnCpu<'a> {
     /// A tube of the radius `start_mm` and echoes sorted along the axis.
     pub(super) fn new(grid: &'a Grid, echoes: &'a mut [Echo], start_mm: f64) -> Self {
-        Self { grid, echoes, solver: Solver::new(*grid), radii_mm: vec![start_mm; grid.node_count()] }
+        Self { grid, echoes, solver: Solver::new(*grid), wall: Wall::tube(grid, start_mm) }
     }
 
-    fn equations(&mut self, round: &Round) -> Equations {
-        let Self { grid, echoes, radii_mm, .. } = self;
+    fn equations(&mut self, rough: bool) -> Equations {
+        let Self { grid, echoes, wall, .. } = self;
         let parts: Vec<Equations> = echoes
             .par_chunks_mut(TASK)
             .map(|task| {
@@ -140,14 +188,14 @@ impl<'a> OnCpu<'a> {
                 let mut sums = Equations::over(grid, low..high + 2);
                 for echo in task {
                     let (ring, node) = echo.foot();
-                    let measured = echo.measure(grid, radii_mm, round.noise_mm, false);
+                    let measured = echo.measure(grid, wall, false);
                     let miss = echo.miss_mm.abs();
-                    if !round.rough && miss > gate(round.noise_mm, measured.wall_mm) {
+                    if !rough && miss > gate(wall.noise_mm, measured.wall_mm) {
                         continue;
                     }
-                    let robust = (HUBER * round.noise_mm / miss.max(f64::MIN_POSITIVE)).min(1.0);
                     let corners = grid.corners(ring, node);
-                    sums.add(&corners, robust * measured.weight, measured.wall_mm + measured.radial_mm);
+                    let weight = huber(wall.noise_mm, miss) * measured.weight;
+                    sums.add(&corners, weight, measured.wall_mm + measured.radial_mm);
                 }
                 sums
             })
@@ -160,25 +208,23 @@ impl<'a> OnCpu<'a> {
 
 impl WallEngine for OnCpu<'_> {
     fn measure(&mut self, noise_mm: f64, feet: bool) -> Result<f64> {
-        let (grid, radii_mm) = (self.grid, &self.radii_mm);
-        self.echoes.par_chunks_mut(TASK).for_each(|task| {
-            for echo in task {
-                echo.measure(grid, radii_mm, noise_mm, feet);
-            }
-        });
+        self.wall.noise_mm = noise_mm;
+        measure(self.grid, self.echoes, &self.wall, feet);
         Ok(median(&mut self.echoes.iter().map(|e| e.miss_mm.abs()).collect::<Vec<_>>()))
     }
 
     fn draw(&mut self, round: &Round) -> Result<Drawn> {
-        let equations = self.equations(round);
-        let before = self.radii_mm.clone();
-        let solver_steps =
-            self.solver.solve(&equations, round.smoothness_mm2, round.tolerance, &mut self.radii_mm);
-        let travel = before.iter().zip(&self.radii_mm).map(|(a, b)| (a - b).abs()).sum::<f64>();
+        self.wall.noise_mm = round.noise_mm;
+        let equations = self.equations(round.rough);
+        let radii_mm = &mut self.wall.radii_mm;
+        let before = radii_mm.clone();
+        let system = System::plain(&equations, round.smoothness_mm2);
+        let solver_steps = self.solver.solve(&system, round.tolerance, radii_mm);
+        let travel = before.iter().zip(&*radii_mm).map(|(a, b)| (a - b).abs()).sum::<f64>();
         Ok(Drawn { travel_mm: travel / before.len() as f64, solver_steps })
     }
 
     fn finish(self) -> Result<Vec<f64>> {
-        Ok(self.radii_mm)
+        Ok(self.wall.radii_mm)
     }
 }

@@ -28,3 +28,4 @@ mod simulate;
 mod stdout;
 mod surface;
 mod sweep;
+mod tracker;

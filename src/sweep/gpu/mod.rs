@@ -8,7 +8,7 @@ pub use workspace::Workspace;
 
 use super::banded::Dissected;
 use super::echo::{self, OUT_OF_PLANE};
-use super::grid::{Grid, MOST_STEPS};
+use super::grid::{Ease, Grid, MOST_STEPS};
 use super::passes::{Echo, Factors, Job, State};
 use super::wall::{Drawn, Round, WallEngine};
 use crate::Result;
@@ -364,7 +364,7 @@ fn factors(grid: &Grid, job: &Job, ring_weights: Vec<f64>, smoothness_mm2: f64) 
     let systems: Vec<Dissected> = (0..frequencies)
         .into_par_iter()
         .map(|frequency| {
-            let system = grid.system(frequency, &weights, smoothness_mm2);
+            let system = grid.system(frequency, &weights, smoothness_mm2, &Ease::default());
             system.dissected(job.blocks as usize, job.block_rings as usize)
         })
         .collect::<Option<_>>()?;

@@ -61,7 +61,7 @@ mod tests {
             let x: Vec<f32> = (0..8 * rings).map(|i| (0.7 * (i * i) as f32).sin()).collect();
             let mut expected = vec![0.0; x.len()];
             let wide: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
-            grid.add_bending(&wide, 3.0, &mut expected);
+            grid.add_bending(&wide, 3.0, &crate::sweep::grid::Ease::default(), &mut expected);
             for (node, expected) in expected.iter().enumerate() {
                 let found = bending(&job, &x, node / 8, node % 8);
                 // Some thirty roundings of sums of up to 64 numbers of at most 1, times 4.

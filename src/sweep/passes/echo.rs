@@ -132,6 +132,7 @@ mod tests {
     use crate::sweep::axis::Place;
     use crate::sweep::echo::{Echo as OnCpu, OUT_OF_PLANE};
     use crate::sweep::grid::{Equations, Grid};
+    use crate::sweep::wall::Wall;
     use glam::{DMat3, DVec3};
     use rand::{RngExt, SeedableRng};
     use std::f64::consts::TAU;
@@ -170,6 +171,10 @@ mod tests {
         (radii, (0..3000).map(echo).collect())
     }
 
+    fn on_cpu(radii_mm: &[f64], noise_mm: f64) -> Wall {
+        Wall { radii_mm: radii_mm.to_vec(), noise_mm, ..Wall::tube(&GRID, START_MM) }
+    }
+
     #[test]
     fn feet_and_misses_are_the_cpu_s() {
         let (radii, mut echoes) = wall_and_echoes();
@@ -182,7 +187,7 @@ mod tests {
             for (echo, shift) in echoes.iter_mut().zip(&mut shifts) {
                 let (miss, moved) = measure(&job, &echo.for_device(&GRID, START_MM), &wall, *shift);
                 let before = echo.foot();
-                echo.measure(&GRID, &radii, NOISE_MM, true);
+                echo.measure(&GRID, &on_cpu(&radii, NOISE_MM), true);
                 // A dozen roundings of some 4 mm.
                 if (f64::from(miss) - echo.miss_mm).abs() > 2e-5 {
                     on_other_triangles += 1;
@@ -214,7 +219,7 @@ mod tests {
             let mut expected = Equations::over(&GRID, 0..GRID.rings);
             for mut echo in echoes.iter().copied() {
                 accumulate(&job, &echo.for_device(&GRID, START_MM), &wall, [0.0; 2], &mut sums);
-                let measured = echo.measure(&GRID, &radii, NOISE_MM / 4.0, false);
+                let measured = echo.measure(&GRID, &on_cpu(&radii, NOISE_MM / 4.0), false);
                 let miss = echo.miss_mm.abs();
                 if gated == 0 || miss <= crate::sweep::echo::gate(NOISE_MM / 4.0, measured.wall_mm) {
                     let robust = (crate::sweep::wall::HUBER * NOISE_MM / 4.0 / miss).min(1.0);
