@@ -14,7 +14,7 @@ use std::time::Instant;
 
 /// The lumen of a recording, by the method that the settings name.
 // One is made a recording: its size does not matter.
-#[allow(clippy::large_enum_variant)]
+#[expect(clippy::large_enum_variant)]
 #[derive(Debug, Clone)]
 pub enum Lumen {
     /// Local cylinders, merged.
