@@ -13,6 +13,7 @@ pub mod evaluate;
 pub mod experiments;
 pub mod fit;
 pub mod geometry;
+pub mod live;
 pub mod merge;
 pub mod output;
 pub mod reconstruction;

@@ -52,6 +52,10 @@ pub(super) struct SettingsArguments {
     /// Keep the parts of a swept vessel that no echo supports
     #[arg(long)]
     keep_unsupported: bool,
+    /// For a vessel that moves: let an echo's weight in the method sweep halve in so many seconds of newer ones about it
+    /// [default: all count alike]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    half_life: Option<f64>,
     /// Probe in the tracker sensor's frame: position in mm and unit quaternion [default: 0,0,0,0,0,0,1]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = numbers::<7>, allow_hyphen_values = true)]
     calibration: Option<[f64; 7]>,
@@ -87,6 +91,9 @@ impl SettingsArguments {
         }
         set(&mut settings.sweep.roughness, self.roughness);
         settings.sweep.keep_unsupported |= self.keep_unsupported;
+        if self.half_life.is_some() {
+            settings.sweep.half_life_s = self.half_life;
+        }
         if let Some([x, y, z, qx, qy, qz, qw]) = self.calibration {
             settings.calibration.position_mm = [x, y, z];
             settings.calibration.quaternion = [qx, qy, qz, qw];

@@ -5,3 +5,4 @@ mod transport;
 
 pub use pose::Pose;
 pub use transport::rotation_minimising_frames;
+pub(crate) use transport::transported;

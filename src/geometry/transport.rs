@@ -23,20 +23,34 @@ pub fn rotation_minimising_frames(points: &[DVec3], tangents: &[DVec3]) -> Vec<D
                 }
             }
             Some(previous) => {
-                let chord = point - points[i - 1];
-                let (mut x, mut t) = (previous.x_axis, previous.z_axis);
-                if chord.length_squared() > 0.0 {
-                    x = reflect(x, chord);
-                    t = reflect(t, chord);
-                }
-                let turn = tangent - t;
-                if turn.length_squared() > 1e-24 { reflect(x, turn) } else { x }
+                frames.push(transported(previous, point - points[i - 1], tangent));
+                continue;
             }
         };
-        let x = (x - tangent * x.dot(tangent)).normalize();
-        frames.push(DMat3::from_cols(x, tangent.cross(x), tangent));
+        frames.push(about(x, tangent));
     }
     frames
+}
+
+/// A frame carried on by `chord`, mm, to where its curve has the unit tangent `tangent`, turning about it as little as
+/// possible: one step of [`rotation_minimising_frames`], in either direction of the curve.
+pub(crate) fn transported(frame: &DMat3, chord: DVec3, tangent: DVec3) -> DMat3 {
+    let (mut x, mut t) = (frame.x_axis, frame.z_axis);
+    if chord.length_squared() > 0.0 {
+        x = reflect(x, chord);
+        t = reflect(t, chord);
+    }
+    let turn = tangent - t;
+    if turn.length_squared() > 1e-24 {
+        x = reflect(x, turn);
+    }
+    about(x, tangent)
+}
+
+/// The frame about a tangent whose x axis is nearest to `x`.
+fn about(x: DVec3, tangent: DVec3) -> DMat3 {
+    let x = (x - tangent * x.dot(tangent)).normalize();
+    DMat3::from_cols(x, tangent.cross(x), tangent)
 }
 
 fn reflect(v: DVec3, normal: DVec3) -> DVec3 {

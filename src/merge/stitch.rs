@@ -2,6 +2,7 @@ use crate::fit::FittedCylinder;
 use crate::surface::Surface;
 use crate::tube::face_triangles;
 use glam::DVec3;
+use std::ops::Range;
 
 /// A ring of a stitched vessel.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,8 +39,9 @@ impl Stitched {
     /// Appends a cylinder with the given radii (its last ones, or those of another iteration): rings that it
     /// overlaps are dropped whole, the rest keep their order, and the new rings come behind them, all turned by
     /// one shift so that their node 0 is the one nearest to node 0 of the last kept ring. The lowest of equally
-    /// near nodes is taken, looked for on the new cylinder's first ring.
-    pub fn append(&mut self, cylinder: &FittedCylinder, radii_mm: &[f64]) {
+    /// near nodes is taken, looked for on the new cylinder's first ring. Returns the first ring that is new or has another
+    /// number than before.
+    pub fn append(&mut self, cylinder: &FittedCylinder, radii_mm: &[f64]) -> usize {
         let count = cylinder.tube.tube.nodes;
         let nodes: Vec<DVec3> = cylinder.nodes_mm(radii_mm).collect();
         let cylinder_from_world = cylinder.world_from_cylinder.inverse();
@@ -51,7 +53,13 @@ impl Stitched {
             let q = cylinder_from_world.transform_point(node);
             q.x >= low.x && low.y <= q.y && q.y <= high.y && low.z <= q.z && q.z <= high.z
         };
-        self.rings.retain(|ring| !ring.nodes_mm.iter().any(overlaps));
+        let (mut first, mut dropped) = (0, false);
+        self.rings.retain(|ring| {
+            let keep = !ring.nodes_mm.iter().any(overlaps);
+            dropped |= !keep;
+            first += usize::from(!dropped);
+            keep
+        });
 
         let shift = self.rings.last().map_or(0, |last| {
             let distance = |j: usize| nodes[j].distance_squared(last.nodes_mm[0]);
@@ -67,26 +75,33 @@ impl Stitched {
                 residual_mm: (0..count).map(|j| cylinder.tube.residual_mm[per_node(j)]).collect(),
             });
         }
+        first
     }
 
     /// The vessel as a triangle surface: consecutive rings joined like the faces of a tube, normals outward,
     /// open at both ends. Arrays: `support` (points), `residual_mm`, `frame`.
     pub fn surface(&self) -> Surface {
-        let count = self.rings.first().map_or(0, |ring| ring.nodes_mm.len());
+        self.part(0..self.rings.len())
+    }
+
+    /// Some rings of it.
+    pub(crate) fn part(&self, rings: Range<usize>) -> Surface {
+        let rings = &self.rings[rings];
+        let count = rings.first().map_or(0, |ring| ring.nodes_mm.len());
         let node = |ring: usize, j: usize| (ring * count + j % count) as u32;
-        let triangles = (1..self.rings.len())
+        let triangles = (1..rings.len())
             .flat_map(|ring| (0..count).map(move |j| (ring - 1, j)))
             .flat_map(|(ring, j)| {
                 face_triangles(node(ring, j), node(ring, j + 1), node(ring + 1, j + 1), node(ring + 1, j))
             })
             .collect();
         let mut surface = Surface {
-            nodes_mm: self.rings.iter().flat_map(|r| r.nodes_mm.iter().copied()).collect(),
+            nodes_mm: rings.iter().flat_map(|r| r.nodes_mm.iter().copied()).collect(),
             triangles,
             arrays: Vec::new(),
         };
         let array = |value: &dyn Fn(&Ring, usize) -> f64| {
-            self.rings.iter().flat_map(|r| (0..count).map(|j| value(r, j)).collect::<Vec<_>>()).collect()
+            rings.iter().flat_map(|r| (0..count).map(|j| value(r, j)).collect::<Vec<_>>()).collect()
         };
         surface.set_array("support", array(&|r, j| f64::from(r.support[j])));
         surface.set_array("residual_mm", array(&|r, j| r.residual_mm[j]));

@@ -88,6 +88,30 @@ impl Echo {
         Measured { radial_mm: across / normal.x, weight: normal.x * normal.x / variance, wall_mm: wall }
     }
 
+    /// As [`Echo::measure`], about a wall of which nothing is known yet: it is taken to be a tube, right under the echo.
+    pub(super) fn measure_straight(&mut self) -> Measured {
+        self.shift = [0.0; 2];
+        self.miss_mm = 0.0;
+        let tilt = self.image_normal.x;
+        let weight = (1.0 - (1.0 - OUT_OF_PLANE) * tilt * tilt).recip();
+        Measured { radial_mm: 0.0, weight, wall_mm: self.radius_mm }
+    }
+
+    /// Where it is about the axis: ring and node.
+    pub(super) fn place(&self) -> (f64, f64) {
+        (self.ring, self.node)
+    }
+
+    /// Takes another's foot over.
+    pub(super) fn keep_foot_of(&mut self, other: &Self) {
+        (self.shift, self.miss_mm) = (other.shift, other.miss_mm);
+    }
+
+    /// Counts rings from one that lies `rings` before.
+    pub(super) fn renumber(&mut self, rings: usize) {
+        self.ring += rings as f64;
+    }
+
     /// Whether the echo was seen on this wall.
     pub(super) fn is_inlier(&self, noise: f64) -> bool {
         self.miss_mm.abs() <= gate(noise, self.radius_mm - self.miss_mm)

@@ -18,10 +18,10 @@ pub(super) struct Wall {
 }
 
 /// Huber's constant: 95 % as good as least squares for normal noise.
-const HUBER: f64 = 1.345;
+pub(super) const HUBER: f64 = 1.345;
 /// What a wall of roughness one bends away from a flat triangle, as noise, in edge lengths. It keeps perfect echoes from
 /// being interpolated.
-const CELL_NOISE: f64 = 0.3;
+pub(super) const CELL_NOISE: f64 = 0.3;
 /// Iterations without feet and gate, until the wall has its shape.
 const ROUGH_ITERATIONS: usize = 3;
 const MOST_ITERATIONS: usize = 15;
