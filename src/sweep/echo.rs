@@ -27,6 +27,8 @@ pub(super) struct Echo {
     image_normal: DVec3,
     stretch: f64,
     pub(super) frame: u32,
+    /// How much it counts: 1, or less for an old one.
+    pub(super) weight: f64,
     /// From the echo to its foot on the wall, in rings and nodes.
     shift: [f64; 2],
     /// Distance to the wall in units of the noise along its way, mm; positive outside the wall.
@@ -42,6 +44,7 @@ impl Echo {
             image_normal: place.directions.transpose() * image_normal,
             stretch: place.stretch,
             frame,
+            weight: 1.0,
             shift: [0.0; 2],
             miss_mm: 0.0,
         }

@@ -18,6 +18,7 @@ pub(crate) use live::LiveSweep;
 pub use support::Support;
 
 use crate::geometry::Pose;
+use crate::live::FRAME_INTERVAL_S;
 use crate::recording::{Frame, Recording};
 use crate::settings::Settings;
 use crate::surface::Surface;
@@ -140,6 +141,9 @@ impl Sweep {
 
         let start = Instant::now();
         let mut echoes = placed(frames, &poses, &axis, nodes);
+        if let Some(half_life_s) = settings.sweep.half_life_s {
+            age(&mut echoes, &times_s(frames), half_life_s);
+        }
         let place_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
@@ -300,6 +304,25 @@ fn placed(frames: &[Frame], poses: &[Pose], axis: &Axis, nodes: usize) -> Vec<Ec
         .collect();
     echoes.par_sort_by(|a, b| a.ring().total_cmp(&b.ring()));
     echoes
+}
+
+/// When the frames were taken, s; without a time, [`FRAME_INTERVAL_S`] after the one before.
+fn times_s(frames: &[Frame]) -> Vec<f64> {
+    let times = frames.iter().scan(-FRAME_INTERVAL_S, |clock, frame| {
+        *clock = frame.time_s.unwrap_or(*clock + FRAME_INTERVAL_S);
+        Some(*clock)
+    });
+    times.collect()
+}
+
+/// Lets echoes, sorted along the axis, count less the more time lies between them and the newest of those between the
+/// same two rings.
+fn age(echoes: &mut [Echo], times_s: &[f64], half_life_s: f64) {
+    let time = |echo: &Echo| times_s[echo.frame as usize];
+    for level in echoes.chunk_by_mut(|a, b| a.ring() as usize == b.ring() as usize) {
+        let newest = level.iter().map(time).fold(f64::NEG_INFINITY, f64::max);
+        level.iter_mut().for_each(|echo| echo.weight = ((time(echo) - newest) / half_life_s).exp2());
+    }
 }
 
 /// Radius of the circle with the area inside the contour, mm.

@@ -8,7 +8,7 @@ use super::wall::Wall;
 /// What the radius of every node rests on. All lists have one value per node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Support {
-    /// Echoes nearer to the node than to the two others of their triangle.
+    /// Echoes nearer to the node than to the two others of their triangle; with a half-life, their weight.
     pub echoes: Vec<u32>,
     /// Root mean square distance to the wall of the echoes about the node, mm; NaN without any.
     pub residual_mm: Vec<f64>,
@@ -57,7 +57,8 @@ impl Support {
         for echo in echoes {
             let (ring, node) = echo.foot();
             let node = grid.corners(ring, node).nearest();
-            tally.add(node, echo.is_inlier(wall.noise_mm), 1.0, echo.miss_mm * echo.miss_mm, echo.frame);
+            let squares_mm2 = echo.weight * echo.miss_mm * echo.miss_mm;
+            tally.add(node, echo.is_inlier(wall.noise_mm), echo.weight, squares_mm2, echo.frame);
         }
         let density = median(&mut tally.own().filter(|&n| n > 0.0).collect::<Vec<_>>()) / grid.cell_mm2();
         let weighed = tally.weighed(grid, density, wall.smoothness_mm2);

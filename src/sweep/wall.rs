@@ -99,7 +99,11 @@ fn equations(grid: &Grid, echoes: &mut [Echo], wall: &Wall, rough: bool) -> Equa
                 }
                 let robust = (HUBER * wall.noise_mm / miss.max(f64::MIN_POSITIVE)).min(1.0);
                 let corners = grid.corners(ring, node);
-                sums.add(&corners, robust * measured.weight, measured.wall_mm + measured.radial_mm);
+                sums.add(
+                    &corners,
+                    robust * measured.weight * echo.weight,
+                    measured.wall_mm + measured.radial_mm,
+                );
             }
             sums
         })

@@ -1,7 +1,7 @@
 //! The curve of the axis while it grows.
 
 use super::super::banded::Pentadiagonal;
-use super::super::centreline::{NODES_PER_RADIUS, SMOOTHNESS, resampled};
+use super::super::centreline::{NODES_PER_RADIUS, SMOOTHNESS, centreline, lengths, resampled};
 use glam::DVec3;
 use std::ops::Range;
 
@@ -9,6 +9,12 @@ use std::ops::Range;
 const BEYOND: usize = 6;
 /// Nodes farther than this from both ends of the centres stay where they are.
 const SETTLED: usize = 4;
+/// Centres farther than this from the curve, in lumen radii, show that its end has gone astray; so many of its settled
+/// nodes are then drawn anew at most.
+const ASTRAY_RADII: f64 = 0.5;
+const MOST_TAKEN_BACK: usize = 8;
+/// Nodes that an end grows by at most where it is laid along another way.
+const MOST_REROUTED: usize = 16;
 /// Centres farther than this from the curve, in lumen radii, are not of this vessel, or not yet.
 const STRAY_RADII: f64 = 2.0;
 /// The curve is not drawn anew for less, in lumen radii.
@@ -21,8 +27,8 @@ const HELD: f64 = 1e6;
 pub(super) struct Curve {
     radius_mm: f64,
     pub nodes_mm: Vec<DVec3>,
-    /// Sum and number of the centres nearest to each node.
-    centres: Vec<(DVec3, f64)>,
+    /// Centres about the ends, gathered by the first of them that is within a spacing: their sums and numbers.
+    clusters: Vec<(DVec3, f64)>,
     /// Nodes that do not move any more.
     settled: Option<Range<usize>>,
 }
@@ -39,14 +45,25 @@ pub(super) enum Growth {
 }
 
 impl Curve {
-    /// A curve along points that the centres have been found to follow.
-    pub fn along(points_mm: &[DVec3], radius_mm: f64) -> Self {
+    /// A curve along points that centres have been found to follow for the lumen's radius at least.
+    pub fn along(points_mm: &[DVec3], centres_mm: &[DVec3], radius_mm: f64) -> Self {
         let nodes_mm = resampled(points_mm, radius_mm / NODES_PER_RADIUS);
-        let centres = vec![(DVec3::ZERO, 0.0); nodes_mm.len()];
-        let mut curve = Self { radius_mm, nodes_mm, centres, settled: None };
+        let mut curve = Self { radius_mm, nodes_mm, clusters: Vec::new(), settled: None };
         curve.prolong_front(BEYOND);
         curve.prolong_back(BEYOND);
+        centres_mm.iter().for_each(|&centre| curve.gather(centre));
+        curve.nodes_mm = curve.drawn(0..curve.nodes_mm.len());
+        curve.settle();
         curve
+    }
+
+    fn gather(&mut self, centre_mm: DVec3) {
+        let distance = |(sum, count): &(DVec3, f64)| centre_mm.distance(*sum / *count);
+        let nearest = self.clusters.iter_mut().min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        match nearest.filter(|cluster| distance(cluster) < self.radius_mm / NODES_PER_RADIUS) {
+            Some(cluster) => *cluster = (cluster.0 + centre_mm, cluster.1 + 1.0),
+            None => self.clusters.push((centre_mm, 1.0)),
+        }
     }
 
     /// Distance of two nodes, mm.
@@ -68,38 +85,99 @@ impl Curve {
             return Growth::Stray;
         }
         let mut node = place.round() as usize;
-        self.centres[node].0 += centre_mm;
-        self.centres[node].1 += 1.0;
+        let astray = self.nodes_mm[node].distance(centre_mm) > ASTRAY_RADII * self.radius_mm;
+        if let Some(settled) = self.settled.as_mut().filter(|_| astray) {
+            // An end that turns out to have gone astray is taken back.
+            if node >= settled.end.saturating_sub(MOST_TAKEN_BACK) {
+                settled.end = settled.end.min(node.saturating_sub(SETTLED)).max(settled.start + 2);
+            } else if node < settled.start + MOST_TAKEN_BACK {
+                settled.start = settled.start.max(node + SETTLED).min(settled.end - 2);
+            }
+        }
         if self.settled.as_ref().is_some_and(|settled| settled.contains(&node)) {
             return Growth::None;
         }
-        let before = BEYOND.saturating_sub(node);
-        self.prolong_front(before);
+        self.gather(centre_mm);
+        let at_front = self.settled.as_ref().is_some_and(|settled| node < settled.start);
+        let old = self.nodes_mm.clone();
+        if astray {
+            self.reroute(at_front);
+        }
+        let mut before = if at_front { self.nodes_mm.len() - old.len() } else { 0 };
         node += before;
-        let after = (node + BEYOND + 1).saturating_sub(self.nodes_mm.len());
-        self.prolong_back(after);
+        let more = BEYOND.saturating_sub(node);
+        self.prolong_front(more);
+        (node, before) = (node + more, before + more);
+        self.prolong_back((node + BEYOND + 1).saturating_sub(self.nodes_mm.len()));
 
         let free = match &self.settled {
             None => 0..self.nodes_mm.len(),
-            Some(settled) if node < settled.start => 0..settled.start,
+            Some(settled) if at_front => 0..settled.start,
             Some(settled) => settled.end..self.nodes_mm.len(),
         };
         let drawn = self.drawn(free.clone());
-        let travel =
-            drawn.iter().zip(&self.nodes_mm[free.clone()]).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
-        if before + after == 0 && travel <= TOLERANCE_RADII * self.radius_mm {
-            return Growth::None;
-        }
         self.nodes_mm[free.clone()].copy_from_slice(&drawn);
+        if self.nodes_mm.len() == old.len() {
+            let travel = old.iter().zip(&self.nodes_mm).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+            if travel <= TOLERANCE_RADII * self.radius_mm {
+                self.nodes_mm = old;
+                return Growth::None;
+            }
+        }
         self.settle();
         Growth::Moved { before, moved: free }
+    }
+
+    /// Lays an end along the way through its centres, as the batch finds it, where it has gone astray. There are never
+    /// fewer nodes afterwards.
+    fn reroute(&mut self, at_front: bool) {
+        let Some(settled) = self.settled.clone() else { return };
+        let count = self.nodes_mm.len();
+        // From the node that is held, outwards.
+        let line = |range: Range<usize>| self.nodes_mm[range].to_vec();
+        let (anchor, mut known) = if at_front {
+            (settled.start, line(settled.start..settled.end.min(settled.start + MOST_TAKEN_BACK)))
+        } else {
+            (
+                settled.end - 1,
+                line(settled.start.max(settled.end.saturating_sub(MOST_TAKEN_BACK))..settled.end),
+            )
+        };
+        let outer = if at_front { anchor } else { count - 1 - anchor };
+        if !at_front {
+            known.reverse();
+        }
+        // The innermost first, so that the way starts there.
+        let last = known.len();
+        known.reverse();
+        known.extend(self.clusters.iter().map(|(sum, count)| *sum / *count));
+        let Some(way) = centreline(&known, self.radius_mm) else { return };
+        let held = self.nodes_mm[anchor];
+        let nearest = (0..way.len())
+            .min_by(|&a, &b| way[a].distance_squared(held).total_cmp(&way[b].distance_squared(held)))
+            .unwrap_or(0);
+        let mut outwards = vec![held];
+        outwards.extend(way.into_iter().skip(nearest + 1));
+        if outwards.len() < 2 || last < 2 {
+            return;
+        }
+        let length = lengths(&outwards).last().copied().unwrap_or(0.0);
+        let wanted = ((length / self.spacing_mm()) as usize + BEYOND).clamp(outer, outer + MOST_REROUTED);
+        let mut nodes = evenly(&outwards, self.spacing_mm(), wanted);
+        if at_front {
+            nodes.reverse();
+            self.nodes_mm.splice(..anchor, nodes);
+            let more = wanted - outer;
+            self.settled = Some(settled.start + more..settled.end + more);
+        } else {
+            self.nodes_mm.splice(anchor + 1.., nodes);
+        }
     }
 
     fn prolong_back(&mut self, count: usize) {
         for _ in 0..count {
             let next = beyond(self.nodes_mm.iter().rev());
             self.nodes_mm.push(next);
-            self.centres.push((DVec3::ZERO, 0.0));
         }
     }
 
@@ -107,21 +185,28 @@ impl Curve {
         for _ in 0..count {
             let next = beyond(self.nodes_mm.iter());
             self.nodes_mm.insert(0, next);
-            self.centres.insert(0, (DVec3::ZERO, 0.0));
         }
         if let Some(settled) = &mut self.settled {
             *settled = settled.start + count..settled.end + count;
         }
     }
 
+    /// Lets the nodes settle that lie well within the centres, and forgets the centres about them.
     fn settle(&mut self) {
-        let seen = |(_, count): &(DVec3, f64)| *count > 0.0;
-        let first = self.centres.iter().position(seen).unwrap_or(0) + SETTLED;
-        let end = (self.centres.iter().rposition(seen).unwrap_or(0) + 1).saturating_sub(SETTLED);
+        let all = 0..self.nodes_mm.len();
+        let place = |(sum, count): &(DVec3, f64)| self.station(*sum / *count, all.clone());
+        let places: Vec<f64> = self.clusters.iter().map(place).collect();
+        let settled = (BEYOND + SETTLED)..(all.end - BEYOND).saturating_sub(SETTLED);
         self.settled = match self.settled.take() {
-            Some(settled) => Some(settled.start.min(first)..settled.end.max(end)),
-            None => (first < end).then_some(first..end),
+            Some(before) => Some(before.start.min(settled.start)..before.end.max(settled.end)),
+            None => (settled.start + 2 <= settled.end).then_some(settled),
         };
+        if let Some(settled) = &self.settled {
+            // The next ones are needed where an end is taken back.
+            let (low, high) = (settled.start + MOST_TAKEN_BACK, settled.end.saturating_sub(MOST_TAKEN_BACK));
+            let mut places = places.into_iter();
+            self.clusters.retain(|_| places.next().is_none_or(|p| p < low as f64 || p > high as f64));
+        }
     }
 
     /// Places of the nodes `free` with all others held: the minimum of `Σ|pᵢ - c(sᵢ)|² + λ Σ|Δ²c|²` over the mean
@@ -130,19 +215,26 @@ impl Curve {
         let window = free.start.saturating_sub(2)..(free.end + 2).min(self.nodes_mm.len());
         let mut equations = Pentadiagonal::second_differences(window.len(), SMOOTHNESS);
         let mut right = vec![DVec3::ZERO; window.len()];
-        for node in window.clone() {
-            let (sum, count) = self.centres[node];
-            if count > 0.0 {
-                let mean = sum / count;
-                let near = node.saturating_sub(2).max(window.start)..(node + 3).min(window.end);
-                let place = self.station(mean, near).clamp(window.start as f64, (window.end - 1) as f64)
-                    - window.start as f64;
-                let row = (place as usize).min(window.len() - 2);
-                let share = place - row as f64;
-                equations.add_pair(row, 1.0, [1.0 - share, share]);
-                right[row] += mean * (1.0 - share);
-                right[row + 1] += mean * share;
-            }
+        let (low, high) = (window.start as f64, (window.end - 1) as f64);
+        let places: Vec<(usize, f64, DVec3)> = self
+            .clusters
+            .iter()
+            .map(|(sum, count)| (*sum / *count, self.station(*sum / *count, 0..self.nodes_mm.len())))
+            .filter(|(_, place)| (low..=high).contains(place))
+            .map(|(mean, place)| {
+                let row = ((place - low) as usize).min(window.len() - 2);
+                (row, place - low - row as f64, mean)
+            })
+            .collect();
+        let nearest = |&(row, share, _): &(usize, f64, DVec3)| row + usize::from(share >= 0.5);
+        let mut here = vec![0.0; window.len()];
+        places.iter().for_each(|place| here[nearest(place)] += 1.0);
+        for place in &places {
+            let (row, share, mean) = *place;
+            let weight = 1.0 / here[nearest(place)];
+            equations.add_pair(row, weight, [1.0 - share, share]);
+            right[row] += mean * (weight * (1.0 - share));
+            right[row + 1] += mean * (weight * share);
         }
         for node in window.clone().filter(|node| !free.contains(node)) {
             equations.add_diagonal(node - window.start, HELD * SMOOTHNESS);

@@ -50,6 +50,13 @@ struct Said {
 }
 
 impl Sample {
+    /// Finds its foot, and from there once more: the wall is not flat.
+    fn find_foot(&mut self, held: Held) {
+        for _ in 0..2 {
+            self.echo.measure(held.grid, held.radii_mm, held.noise_mm, true);
+        }
+    }
+
     fn say(&mut self, held: Held, rough: bool) -> Said {
         let Held { grid, radii_mm, noise_mm } = held;
         if rough {
@@ -62,9 +69,8 @@ impl Sample {
         let measured = self.echo.measure(grid, radii_mm, noise_mm, true);
         let miss = self.echo.miss_mm.abs();
         let on_wall = miss <= gate(noise_mm, measured.wall_mm);
-        // The mean of n echoes has 1/n of their variance.
-        let robust =
-            (HUBER * noise_mm / (miss * self.weight.max(1.0).sqrt()).max(f64::MIN_POSITIVE)).min(1.0);
+        // Also of merged ones: what they have in common is where noise put them, not that they are the wall's.
+        let robust = (HUBER * noise_mm / miss.max(f64::MIN_POSITIVE)).min(1.0);
         let robust = if on_wall { robust } else { 0.0 };
         let weight = robust * measured.weight * self.weight;
         let value_mm = measured.wall_mm + measured.radial_mm;
@@ -98,6 +104,8 @@ pub(super) struct Level {
     pub travel_mm: f64,
     /// When the last echo came, s.
     pub latest_s: f64,
+    /// Whether the echoes have looked for their feet.
+    has_feet: bool,
 }
 
 impl Level {
@@ -111,6 +119,7 @@ impl Level {
             tally: Tally::new(0),
             travel_mm: 0.0,
             latest_s: f64::NEG_INFINITY,
+            has_feet: false,
         }
     }
 
@@ -133,9 +142,8 @@ impl Level {
     /// Takes all echoes out.
     pub fn drain(&mut self, grid: &Grid, level: usize) -> Vec<Sample> {
         let samples = self.cells.iter_mut().flat_map(std::mem::take).collect();
-        let latest_s = self.latest_s;
-        *self = Self::new(grid, level);
-        self.latest_s = latest_s;
+        let (latest_s, has_feet) = (self.latest_s, self.has_feet);
+        *self = Self { latest_s, has_feet, ..Self::new(grid, level) };
         samples
     }
 
@@ -169,10 +177,7 @@ impl Level {
             self.travel_mm = f64::INFINITY;
         }
         if new && !rough {
-            // The foot of the foot: the wall is not flat.
-            for _ in 0..2 {
-                sample.echo.measure(held.grid, held.radii_mm, held.noise_mm, true);
-            }
+            sample.find_foot(held);
         }
         let said = sample.say(held, rough);
         if !rough {
@@ -248,9 +253,13 @@ impl Level {
     pub fn measure(&mut self, held: Held, misses: &mut Median, rough: bool) {
         let rough = rough || self.is_rough();
         let mut cells = std::mem::take(&mut self.cells);
+        let first_feet = !rough && !std::mem::replace(&mut self.has_feet, !rough);
         let empty = self.rings.start..self.rings.start;
         (self.rings, self.tally) = (empty, Tally::new(0));
         for sample in cells.iter_mut().flatten() {
+            if first_feet {
+                sample.find_foot(held);
+            }
             let said = sample.say(held, rough);
             if !rough {
                 sample.count(misses);

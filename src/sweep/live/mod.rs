@@ -38,7 +38,7 @@ const ROUND_STEP: usize = 16;
 /// Echoes that are measured anew in a window.
 const MOST_MEASURED: usize = 4000;
 /// Echoes are good as measured while no node about has travelled more than this share of the noise.
-const ENOUGH_NOISE_SHARE: f64 = 0.02;
+const ENOUGH_NOISE_SHARE: f64 = 0.002;
 /// Steps of the solver for a window, and the share of the residual that may be left.
 const MOST_STEPS: usize = 8;
 const SOLVED_SHARE: f64 = 0.02;
@@ -148,10 +148,7 @@ impl LiveSweep {
         let length_mm = centreline::lengths(&curve).last().copied().unwrap_or(0.0);
         let frames: Vec<Frame> = self.waiting.iter().map(|seen| seen.frame.clone()).collect();
         let (nodes, step_mm) = resolution(&frames, length_mm, radius_mm, &self.settings)?;
-        let mut curve = Curve::along(&curve, radius_mm);
-        for centre in centres {
-            curve.push(centre);
-        }
+        let curve = Curve::along(&curve, &centres, radius_mm);
         let mut vessel = Vessel::along(curve, nodes, step_mm, radius_mm, &self.settings);
         let step = vessel.start(&self.waiting);
         self.waiting = Vec::new();
@@ -170,7 +167,7 @@ impl LiveSweep {
     /// Some rings as a surface.
     pub fn surface(&self, rings: Range<usize>, keep_unsupported: bool) -> Surface {
         let Some(vessel) = &self.vessel else { return Surface::default() };
-        let tangential_mm = (TANGENTIAL_PER_JUMP * self.jumps.value()).min(vessel.misses.value());
+        let tangential_mm = (TANGENTIAL_PER_JUMP * self.jumps.value()).min(vessel.noise_mm());
         let radius = |node: usize| {
             let radius = vessel.radii_mm[node];
             radius - bulge_mm(radius, tangential_mm)
@@ -244,7 +241,7 @@ impl Vessel {
             self.insert(level, sample, time_s, start_mm, true);
         }
         for round in 0..FIRST_ROUNDS {
-            let noise_mm = if round < ROUGH_ROUNDS { start_mm } else { self.misses.value() };
+            let noise_mm = if round < ROUGH_ROUNDS { start_mm } else { self.noise_mm() };
             for level in self.seen.clone() {
                 let held = Held { grid: &self.grid, radii_mm: &self.radii_mm, noise_mm };
                 self.levels[level].measure(held, &mut self.misses, round < ROUGH_ROUNDS);
@@ -269,7 +266,7 @@ impl Vessel {
                 step.changed.push(moved);
             }
         }
-        let noise_mm = self.misses.value();
+        let noise_mm = self.noise_mm();
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for (level, sample, time_s) in self.placed(seen) {
             step.changed.extend(self.see(level));
@@ -324,8 +321,13 @@ impl Vessel {
         (3.0 * reach_mm / self.grid.step_mm).clamp(2.0, 12.0)
     }
 
+    /// Standard deviation of normal noise with the echoes' median |miss|, mm.
+    fn noise_mm(&self) -> f64 {
+        1.4826 * self.misses.value()
+    }
+
     fn smoothness_mm2(&self) -> f64 {
-        let noise_mm = self.misses.value().hypot(CELL_NOISE * self.roughness * self.grid.arc_mm);
+        let noise_mm = self.noise_mm().hypot(CELL_NOISE * self.roughness * self.grid.arc_mm);
         (noise_mm / self.roughness).powi(2)
     }
 
@@ -479,7 +481,7 @@ impl Vessel {
                 self.radii_mm[ring * nodes + j] -= x * cos + y * sin;
             }
         }
-        let noise_mm = self.misses.value();
+        let noise_mm = self.noise_mm();
         let levels = changed.start.saturating_sub(1)..changed.end.min(all.end - 1);
         let mut samples = Vec::new();
         for level in levels {
@@ -509,7 +511,7 @@ impl Vessel {
             return 0..0;
         }
         let (nodes, all) = (self.grid.nodes, self.grid.rings);
-        let noise_mm = self.misses.value();
+        let noise_mm = self.noise_mm();
         let held = Held { grid: &self.grid, radii_mm: &self.radii_mm, noise_mm };
         let enough_mm = ENOUGH_NOISE_SHARE * noise_mm;
         let mut due: Vec<usize> = (window.start.saturating_sub(1)..window.end.min(all - 1))
