@@ -232,8 +232,9 @@ fn with_a_half_life_the_wall_follows_the_newer_pass() {
     };
     let remember = with(None);
     let forget = with(Some(duration_s / 8.0));
-    let batch = |settings| error_mm(&Sweep::of(&recording, settings).unwrap().surface(false), &moved);
-    let live = |settings| error_mm(&pushed(&recording.frames, settings).surface(), &moved);
+    let batch =
+        |settings: &Settings| error_mm(&Sweep::of(&recording, settings).unwrap().surface(false), &moved);
+    let live = |settings: &Settings| error_mm(&pushed(&recording.frames, settings).surface(), &moved);
     for of in [&batch as &dyn Fn(&Settings) -> f64, &live] {
         let (all, newer) = (of(&remember), of(&forget));
         assert!(all > 0.3 && newer < 0.15, "{all} {newer}");
