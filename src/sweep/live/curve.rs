@@ -251,8 +251,17 @@ impl Curve {
         } else if free.start > window.start {
             evenly(&drawn[free.start - 1 - window.start..], self.spacing_mm(), free.len())
         } else {
-            let mut even = vec![drawn[0]];
-            even.extend(evenly(&drawn, self.spacing_mm(), free.len() - 1));
+            // From the first centre, so that the curve goes on before it as far as behind the last.
+            let first = places.iter().map(|(row, share, _)| *row as f64 + share).fold(high, f64::min);
+            let row = (first as usize).min(drawn.len() - 2);
+            let anchor = drawn[row].lerp(drawn[row + 1], first - row as f64);
+            let front: Vec<DVec3> =
+                std::iter::once(anchor).chain(drawn[..=row].iter().rev().copied()).collect();
+            let back: Vec<DVec3> = std::iter::once(anchor).chain(drawn[row + 1..].iter().copied()).collect();
+            let mut even = evenly(&front, self.spacing_mm(), BEYOND);
+            even.reverse();
+            even.push(anchor);
+            even.extend(evenly(&back, self.spacing_mm(), free.len() - BEYOND - 1));
             even
         }
     }
@@ -319,7 +328,7 @@ fn evenly(line: &[DVec3], spacing: f64, count: usize) -> Vec<DVec3> {
     let (mut segment, mut passed) = (0, 0.0);
     for i in 1..=count {
         let goal = spacing * i as f64;
-        while segment + 2 < line.len() && passed + line[segment].distance(line[segment + 1]) < goal {
+        while segment + 2 < line.len() && passed + line[segment].distance(line[segment + 1]) <= goal {
             passed += line[segment].distance(line[segment + 1]);
             segment += 1;
         }

@@ -25,11 +25,16 @@ use curve::{Curve, Growth};
 use glam::{DMat3, DVec3};
 use level::{Held, Level, Sample};
 use median::Median;
+use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
 /// Frames that are kept until the contours cover a lumen's radius of the vessel; then every second one goes.
 const MOST_WAITING: usize = 128;
+/// The vessel begins when its contours' centres lie so many lumen radii apart.
+const START_RADII: f64 = 1.5;
+/// Echoes beyond the ends that are kept until the axis has grown or turned towards them.
+const MOST_BEYOND: usize = 2048;
 /// Most rings of the window about a frame.
 const WINDOW: usize = 48;
 /// Rings of the window that goes up and down, and how far it goes each time.
@@ -141,7 +146,7 @@ impl LiveSweep {
         let (low, high) = centres
             .iter()
             .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &p| (low.min(p), high.max(p)));
-        if radius_mm <= 0.0 || centres.is_empty() || low.distance(high) < radius_mm {
+        if radius_mm <= 0.0 || centres.is_empty() || low.distance(high) < START_RADII * radius_mm {
             return Ok(Step::default());
         }
         let Some(curve) = centreline::centreline(&centres, radius_mm) else { return Ok(Step::default()) };
@@ -176,6 +181,14 @@ impl LiveSweep {
     }
 }
 
+/// An echo that the axis has not reached.
+struct Aside {
+    point_mm: DVec3,
+    image_normal: DVec3,
+    frame: u32,
+    time_s: f64,
+}
+
 /// The vessel so far.
 struct Vessel {
     curve: Curve,
@@ -191,6 +204,8 @@ struct Vessel {
     levels: Vec<Level>,
     /// Levels from the first to the last with echoes.
     seen: Range<usize>,
+    /// Echoes beyond the ends, the oldest first.
+    beyond: VecDeque<Aside>,
     support: Support,
     misses: Median,
     /// Weight of the echoes and standard error of the nodes, and where each is counted.
@@ -219,6 +234,7 @@ impl Vessel {
             radii_mm: Vec::new(),
             levels: Vec::new(),
             seen: 0..0,
+            beyond: VecDeque::new(),
             support: Support::none(),
             misses: Median::new(),
             densities: Median::new(),
@@ -331,29 +347,63 @@ impl Vessel {
         (noise_mm / self.roughness).powi(2)
     }
 
-    /// The echoes of a frame about the axis, with their levels; without those beyond its ends.
-    fn placed(&self, seen: &Seen) -> Vec<(usize, Sample, f64)> {
+    /// The echoes of a frame about the axis, with their levels; those beyond its ends are put aside.
+    fn placed(&mut self, seen: &Seen) -> Vec<(usize, Sample, f64)> {
         let frame = &seen.frame;
         let to_world = |p: glam::DVec2| seen.world_from_probe.transform_point(p.extend(0.0));
         let centre = frame.centroid_mm().or_else(|| frame.echoes_mm().next());
         let near = centre.map_or(0, |centre| self.axis.nearest_ring(to_world(centre)));
         let image_normal = seen.world_from_probe.rotation.z_axis;
-        let sample = |p| {
-            let point_mm = to_world(p);
-            let place = self.axis.place(point_mm, near)?;
-            let echo = Echo::new(&place, image_normal, seen.number, self.grid.nodes);
-            let sample = Sample {
-                echo,
-                point_mm,
-                image_normal,
-                weight: 1.0,
-                scatter_mm2: 0.0,
-                bin: None,
-                is_merged: false,
-            };
-            Some((place.ring as usize, sample, seen.time_s))
-        };
-        frame.echoes_mm().filter_map(sample).collect()
+        let mut placed = Vec::new();
+        for point_mm in frame.echoes_mm().map(to_world) {
+            match self.sample(point_mm, image_normal, seen.number, near) {
+                Some((level, sample)) => placed.push((level, sample, seen.time_s)),
+                None => self.put_aside(point_mm, image_normal, seen),
+            }
+        }
+        placed
+    }
+
+    /// An echo about the axis, and its level; looked for from ring `near` on.
+    fn sample(
+        &self,
+        point_mm: DVec3,
+        image_normal: DVec3,
+        frame: u32,
+        near: usize,
+    ) -> Option<(usize, Sample)> {
+        let place = self.axis.place(point_mm, near)?;
+        let echo = Echo::new(&place, image_normal, frame, self.grid.nodes);
+        let (weight, scatter_mm2) = (1.0, 0.0);
+        let sample =
+            Sample { echo, point_mm, image_normal, weight, scatter_mm2, bin: None, is_merged: false };
+        Some((place.ring as usize, sample))
+    }
+
+    fn put_aside(&mut self, point_mm: DVec3, image_normal: DVec3, seen: &Seen) {
+        if self.beyond.len() == MOST_BEYOND {
+            self.beyond.pop_front();
+        }
+        self.beyond.push_back(Aside { point_mm, image_normal, frame: seen.number, time_s: seen.time_s });
+    }
+
+    /// Takes up the echoes beyond the ends that the axis has reached by now. How many were looked at.
+    fn take_up(&mut self, noise_mm: f64) -> usize {
+        let aside = std::mem::take(&mut self.beyond);
+        let count = aside.len();
+        for echo in aside {
+            let last = self.grid.rings - 1;
+            let distance = |ring: usize| self.axis.points_mm[ring].distance_squared(echo.point_mm);
+            let near = if distance(0) < distance(last) { 0 } else { last };
+            match self.sample(echo.point_mm, echo.image_normal, echo.frame, near) {
+                Some((level, sample)) => {
+                    self.see(level);
+                    self.insert(level, sample, echo.time_s, noise_mm, true);
+                }
+                None => self.beyond.push_back(echo),
+            }
+        }
+        count
     }
 
     /// Where its foot is along the axis, and whether it lies on the wall.
@@ -500,6 +550,7 @@ impl Vessel {
                 self.insert(level, sample, latest_s, noise_mm, false);
             }
         }
+        step.echoes += self.take_up(noise_mm);
         (in_front, changed)
     }
 
