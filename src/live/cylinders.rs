@@ -45,6 +45,6 @@ impl Cylinders {
             work.echoes += (cylinder.tube.points + cylinder.tube.gated) as usize;
             work.rings += cylinder.tube.tube.levels + 1;
         }
-        Ok((vec![first..self.vessel.rings.len()], work))
+        Ok((std::iter::once(first..self.vessel.rings.len()).collect(), work))
     }
 }

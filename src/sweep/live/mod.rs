@@ -265,7 +265,7 @@ impl Vessel {
             }
             step.rings += self.refit(self.seen.start..self.seen.end + 1, &mut 0).len();
         }
-        step.changed = vec![0..self.grid.rings];
+        step.changed.push(0..self.grid.rings);
         step
     }
 
@@ -273,14 +273,9 @@ impl Vessel {
         let mut step = Step::default();
         if let Some(Growth::Moved { before, moved }) = seen.centre_mm().map(|centre| self.curve.push(centre))
         {
-            let rings = self.grid.rings;
             let (before, moved) = self.redraw(before, moved, &mut step);
             step.before = before;
-            if before > 0 || self.grid.rings > rings {
-                step.changed.push(moved.start..moved.end);
-            } else {
-                step.changed.push(moved);
-            }
+            step.changed.push(moved);
         }
         let noise_mm = self.noise_mm();
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -387,23 +382,22 @@ impl Vessel {
         self.beyond.push_back(Aside { point_mm, image_normal, frame: seen.number, time_s: seen.time_s });
     }
 
-    /// Takes up the echoes beyond the ends that the axis has reached by now. How many were looked at.
-    fn take_up(&mut self, noise_mm: f64) -> usize {
+    /// Takes up the echoes beyond the ends that the axis has reached by now.
+    fn take_up(&mut self, noise_mm: f64, step: &mut Step) {
         let aside = std::mem::take(&mut self.beyond);
-        let count = aside.len();
+        step.echoes += aside.len();
         for echo in aside {
             let last = self.grid.rings - 1;
             let distance = |ring: usize| self.axis.points_mm[ring].distance_squared(echo.point_mm);
             let near = if distance(0) < distance(last) { 0 } else { last };
             match self.sample(echo.point_mm, echo.image_normal, echo.frame, near) {
                 Some((level, sample)) => {
-                    self.see(level);
+                    step.changed.extend(self.see(level));
                     self.insert(level, sample, echo.time_s, noise_mm, true);
                 }
                 None => self.beyond.push_back(echo),
             }
         }
-        count
     }
 
     /// Where its foot is along the axis, and whether it lies on the wall.
@@ -546,11 +540,11 @@ impl Vessel {
                 sample.echo = Echo::new(&place, sample.image_normal, old.frame, nodes);
                 sample.echo.keep_foot_of(&old);
                 let level = place.ring as usize;
-                self.see(level);
+                step.changed.extend(self.see(level));
                 self.insert(level, sample, latest_s, noise_mm, false);
             }
         }
-        step.echoes += self.take_up(noise_mm);
+        self.take_up(noise_mm, step);
         (in_front, changed)
     }
 
