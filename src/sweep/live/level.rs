@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 /// Echoes that are kept apart above a face of the grid; more are merged.
-const MOST_PER_CELL: usize = 16;
+const MOST_PER_CELL: usize = 40;
 
 /// An echo, or several that were merged into one.
 #[derive(Debug, Clone)]
