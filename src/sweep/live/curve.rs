@@ -1,7 +1,7 @@
 //! The curve of the axis while it grows.
 
 use super::super::banded::Pentadiagonal;
-use super::super::centreline::{NODES_PER_RADIUS, SMOOTHNESS, centreline, lengths, resampled};
+use super::super::centreline::{NODES_PER_RADIUS, SMOOTHNESS, resampled};
 use glam::DVec3;
 use std::ops::Range;
 
@@ -13,8 +13,6 @@ const SETTLED: usize = 4;
 /// nodes are then drawn anew at most.
 const ASTRAY_RADII: f64 = 0.5;
 const MOST_TAKEN_BACK: usize = 8;
-/// Nodes that an end grows by at most where it is laid along another way.
-const MOST_REROUTED: usize = 16;
 /// Centres farther than this from the curve, in lumen radii, are not of this vessel, or not yet.
 const STRAY_RADII: f64 = 2.0;
 /// The curve is not drawn anew for less, in lumen radii.
@@ -100,14 +98,9 @@ impl Curve {
         self.gather(centre_mm);
         let at_front = self.settled.as_ref().is_some_and(|settled| node < settled.start);
         let old = self.nodes_mm.clone();
-        if astray {
-            self.reroute(at_front);
-        }
-        let mut before = if at_front { self.nodes_mm.len() - old.len() } else { 0 };
-        node += before;
         let more = BEYOND.saturating_sub(node);
         self.prolong_front(more);
-        (node, before) = (node + more, before + more);
+        node += more;
         self.prolong_back((node + BEYOND + 1).saturating_sub(self.nodes_mm.len()));
 
         let free = match &self.settled {
@@ -125,53 +118,7 @@ impl Curve {
             }
         }
         self.settle();
-        Growth::Moved { before, moved: free }
-    }
-
-    /// Lays an end along the way through its centres, as the batch finds it, where it has gone astray. There are never
-    /// fewer nodes afterwards.
-    fn reroute(&mut self, at_front: bool) {
-        let Some(settled) = self.settled.clone() else { return };
-        let count = self.nodes_mm.len();
-        // From the node that is held, outwards.
-        let line = |range: Range<usize>| self.nodes_mm[range].to_vec();
-        let (anchor, mut known) = if at_front {
-            (settled.start, line(settled.start..settled.end.min(settled.start + MOST_TAKEN_BACK)))
-        } else {
-            (
-                settled.end - 1,
-                line(settled.start.max(settled.end.saturating_sub(MOST_TAKEN_BACK))..settled.end),
-            )
-        };
-        let outer = if at_front { anchor } else { count - 1 - anchor };
-        if !at_front {
-            known.reverse();
-        }
-        // The innermost first, so that the way starts there.
-        let last = known.len();
-        known.reverse();
-        known.extend(self.clusters.iter().map(|(sum, count)| *sum / *count));
-        let Some(way) = centreline(&known, self.radius_mm) else { return };
-        let held = self.nodes_mm[anchor];
-        let nearest = (0..way.len())
-            .min_by(|&a, &b| way[a].distance_squared(held).total_cmp(&way[b].distance_squared(held)))
-            .unwrap_or(0);
-        let mut outwards = vec![held];
-        outwards.extend(way.into_iter().skip(nearest + 1));
-        if outwards.len() < 2 || last < 2 {
-            return;
-        }
-        let length = lengths(&outwards).last().copied().unwrap_or(0.0);
-        let wanted = ((length / self.spacing_mm()) as usize + BEYOND).clamp(outer, outer + MOST_REROUTED);
-        let mut nodes = evenly(&outwards, self.spacing_mm(), wanted);
-        if at_front {
-            nodes.reverse();
-            self.nodes_mm.splice(..anchor, nodes);
-            let more = wanted - outer;
-            self.settled = Some(settled.start + more..settled.end + more);
-        } else {
-            self.nodes_mm.splice(anchor + 1.., nodes);
-        }
+        Growth::Moved { before: more, moved: free }
     }
 
     fn prolong_back(&mut self, count: usize) {
