@@ -51,7 +51,7 @@ run() {
 }
 
 run cargo test --all-features
-run cargo test --all-features --bench distance --bench fit -- --test
+run cargo test --all-features --bench distance --bench fit --bench live -- --test
 run cargo check --quiet --no-default-features
 run cargo check --quiet --no-default-features --features cli
 

@@ -15,6 +15,7 @@ pub mod fit;
 pub mod geometry;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod live;
 pub mod merge;
 pub mod output;
 pub mod reconstruction;

@@ -120,6 +120,10 @@ pub struct Sweep {
     /// Whether a constant offset in time between poses and contours is estimated, and taken off where it is
     /// significant; frames must have times.
     pub estimate_offset: bool,
+    /// For vessels that move: an echo's weight halves in so many seconds of newer echoes about it; by default all count
+    /// alike. Frames without a time are taken to be 1/12 s apart.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub half_life_s: Option<f64>,
 }
 
 impl Default for Sweep {
@@ -130,6 +134,7 @@ impl Default for Sweep {
             keep_unsupported: false,
             correct_poses: false,
             estimate_offset: false,
+            half_life_s: None,
         }
     }
 }
@@ -260,6 +265,9 @@ impl Settings {
         if !(self.sweep.roughness.is_finite() && self.sweep.roughness > 0.0) {
             return fail("sweep.roughness", self.sweep.roughness.to_string(), "more than 0");
         }
+        if let Some(half_life_s) = self.sweep.half_life_s.filter(|s| !(1e-3..=1e9).contains(s)) {
+            return fail("sweep.half_life_s", format!("{half_life_s:?}"), "0.001 to 1e9 s");
+        }
         let norm = DQuat::from_array(self.calibration.quaternion).length();
         if !norm.is_finite() || (norm - 1.0).abs() >= 1e-3 {
             return fail(
@@ -333,6 +341,10 @@ mod tests {
             (Settings { every: 0, ..d() }, "every"),
             (Settings { sweep: Sweep { nodes: Some(2), ..Sweep::default() }, ..d() }, "sweep.nodes"),
             (Settings { sweep: Sweep { roughness: f64::NAN, ..Sweep::default() }, ..d() }, "sweep.roughness"),
+            (
+                Settings { sweep: Sweep { half_life_s: Some(0.0), ..Sweep::default() }, ..d() },
+                "sweep.half_life_s",
+            ),
             (Settings { nodes: u32::MAX, levels: u32::MAX, ..d() }, "nodes * levels"),
         ] {
             let message = settings.validate().unwrap_err().to_string();

@@ -22,6 +22,7 @@ mod info;
 mod progress;
 mod reconstruct;
 mod render;
+mod replay;
 mod report;
 mod sections;
 mod settings;
@@ -52,6 +53,7 @@ enum Command {
     Simulate(simulate::Arguments),
     Experiments(experiments::Arguments),
     Study(study::Arguments),
+    Replay(replay::Arguments),
     Render(render::Arguments),
     Report(report::Arguments),
     #[cfg(feature = "gpu")]
@@ -71,6 +73,7 @@ pub fn main() -> ExitCode {
         Command::Simulate(arguments) => arguments.run(),
         Command::Experiments(arguments) => arguments.run(),
         Command::Study(arguments) => arguments.run(),
+        Command::Replay(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
         Command::Report(arguments) => arguments.run(),
         #[cfg(feature = "gpu")]

@@ -61,6 +61,10 @@ pub(super) struct SettingsArguments {
     /// Of a sweep: estimate how much older poses are than contours, and correct it where significant
     #[arg(long)]
     estimate_offset: bool,
+    /// Of a sweep, for a vessel that moves: let an echo's weight halve in so many seconds of newer ones about it
+    /// [default: all count alike]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    half_life: Option<f64>,
     /// Probe in the tracker sensor's frame: position in mm and unit quaternion [default: 0,0,0,0,0,0,1]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = numbers::<7>, allow_hyphen_values = true)]
     calibration: Option<[f64; 7]>,
@@ -99,6 +103,9 @@ impl SettingsArguments {
         settings.sweep.keep_unsupported |= self.keep_unsupported;
         settings.sweep.correct_poses |= self.correct_poses;
         settings.sweep.estimate_offset |= self.estimate_offset;
+        if self.half_life.is_some() {
+            settings.sweep.half_life_s = self.half_life;
+        }
         if let Some([x, y, z, qx, qy, qz, qw]) = self.calibration {
             settings.calibration.position_mm = [x, y, z];
             settings.calibration.quaternion = [qx, qy, qz, qw];
@@ -127,6 +134,7 @@ impl SettingsArguments {
             ("sweep.keep_unsupported", self.keep_unsupported),
             ("sweep.correct_poses", self.correct_poses),
             ("sweep.estimate_offset", self.estimate_offset),
+            ("sweep.half_life_s", self.half_life.is_some()),
         ];
         let (flags, found, expected) = match method {
             Method::Sweep => (&of_cylinders[..], "a flag for the method sweep", "--method cylinders with it"),

@@ -4,7 +4,8 @@ use crate::geometry::Pose;
 use crate::recording::{Frame, Recording};
 use crate::settings::Settings;
 use crate::{Error, Result};
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, I64Vec3};
+use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 
 /// Frames placed in the world, in the order in which they came: what a fit draws its points from.
@@ -14,9 +15,32 @@ use std::ops::Range;
 pub struct Track {
     sensor_from_probe: Pose,
     estimator: Box<dyn CylinderEstimator + Send + Sync>,
-    frames: Vec<PlacedFrame>,
+    /// By number, without those that were forgotten.
+    frames: BTreeMap<usize, PlacedFrame>,
+    /// How many came.
+    count: usize,
+    estimated: usize,
+    places: HashMap<Option<I64Vec3>, Place>,
     echoes_mm: Vec<DVec2>,
+    /// How many of them belong to frames that were not forgotten.
+    kept: usize,
     missing: u64,
+}
+
+/// Edge of a [`Place`], mm.
+const PLACE_MM: f64 = 8.0;
+/// Echoes of forgotten frames that it takes to be worth tidying up.
+const LEAST_WASTE: usize = 100_000;
+/// Farther out, and for larger frames, there is one place for all, mm.
+const FARTHEST_MM: f64 = 1e6;
+
+/// The frames whose centres lie in one cube of the world.
+#[derive(Debug, Default)]
+struct Place {
+    /// Their numbers, ascending.
+    frames: Vec<usize>,
+    /// The largest [`PlacedFrame::reach_mm`] that was there.
+    reach_mm: f64,
 }
 
 /// A frame in the world.
@@ -30,6 +54,19 @@ struct PlacedFrame {
     /// A circle in the probe's plane that holds all its points, as a sphere in the world.
     centre_in_probe_mm: DVec3,
     reach_mm: f64,
+}
+
+impl PlacedFrame {
+    fn centre_mm(&self) -> DVec3 {
+        self.world_from_probe.transform_point(self.centre_in_probe_mm)
+    }
+
+    /// The place it lies in.
+    fn place(&self) -> Option<I64Vec3> {
+        let centre = self.centre_mm();
+        (self.reach_mm < FARTHEST_MM && centre.abs().max_element() < FARTHEST_MM)
+            .then(|| (centre / PLACE_MM).floor().as_i64vec3())
+    }
 }
 
 /// The local cylinder of a frame, in the world.
@@ -69,7 +106,17 @@ pub(super) fn empty_section(frame: usize, radius_mm: f64, gated: u64, settings: 
 impl Track {
     /// An empty track. Frames without a cylinder model get theirs from `estimator`, which is shown every frame.
     pub fn new(sensor_from_probe: Pose, estimator: Box<dyn CylinderEstimator + Send + Sync>) -> Self {
-        Self { sensor_from_probe, estimator, frames: Vec::new(), echoes_mm: Vec::new(), missing: 0 }
+        Self {
+            sensor_from_probe,
+            estimator,
+            frames: BTreeMap::new(),
+            count: 0,
+            estimated: 0,
+            places: HashMap::new(),
+            echoes_mm: Vec::new(),
+            kept: 0,
+            missing: 0,
+        }
     }
 
     /// A track of a whole recording, with the simple local estimate for frames without a cylinder.
@@ -104,9 +151,10 @@ impl Track {
         frame: &Frame,
         estimate: impl FnOnce(&mut dyn CylinderEstimator) -> Option<CylinderModel>,
     ) -> Result<()> {
-        frame.check(self.frames.len())?;
+        frame.check(self.count)?;
         let first = self.echoes_mm.len();
         self.echoes_mm.extend(frame.echoes_mm());
+        self.kept += self.echoes_mm.len() - first;
         self.missing += frame.missing_echoes() as u64;
         let echoes = &self.echoes_mm[first..];
         let (low, high) = echoes
@@ -121,29 +169,72 @@ impl Track {
             radius_mm: model.radius_mm,
             estimated: frame.cylinder.is_none(),
         });
-        self.frames.push(PlacedFrame {
+        self.estimated += usize::from(cylinder.is_some_and(|c| c.estimated));
+        let placed = PlacedFrame {
             world_from_probe: frame.world_from_sensor * self.sensor_from_probe,
             cylinder,
             echoes: first..self.echoes_mm.len(),
             centre_in_probe_mm: centre.extend(0.0),
             reach_mm,
-        });
+        };
+        let place = self.places.entry(placed.place()).or_default();
+        place.frames.push(self.count);
+        place.reach_mm = place.reach_mm.max(reach_mm);
+        self.frames.insert(self.count, placed);
+        self.count += 1;
         Ok(())
+    }
+
+    /// Forgets the oldest frames within `within_mm` of the newest one's centre, so that `most` are left: what a catheter
+    /// at rest sees over and over again. Cylinders that came before stay as they are; later ones do without
+    /// the forgotten frames' points.
+    pub(crate) fn forget_rest(&mut self, within_mm: f64, most: usize) {
+        let Some((_, newest)) = self.frames.last_key_value() else { return };
+        let (centre, Some(home)) = (newest.centre_mm(), newest.place()) else { return };
+        let step = (within_mm / PLACE_MM).ceil() as i64;
+        let steps = move || -step..=step;
+        let mut near: Vec<(usize, I64Vec3)> = Vec::new();
+        for place in
+            steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| I64Vec3::new(x, y, z))))
+        {
+            let place = home + place;
+            let frames = self.places.get(&Some(place)).map_or(&[][..], |place| &place.frames);
+            let is_near = |number: &usize| {
+                self.frames.get(number).is_some_and(|frame| frame.centre_mm().distance(centre) <= within_mm)
+            };
+            near.extend(frames.iter().filter(|number| is_near(number)).map(|&number| (number, place)));
+        }
+        near.sort_unstable_by_key(|&(number, _)| number);
+        for &(number, place) in &near[..near.len().saturating_sub(most)] {
+            self.kept -= self.frames.remove(&number).map_or(0, |frame| frame.echoes.len());
+            if let Some(place) = self.places.get_mut(&Some(place)) {
+                place.frames.retain(|&other| other != number);
+            }
+        }
+        if self.echoes_mm.len() > 2 * self.kept + LEAST_WASTE {
+            let mut echoes_mm = Vec::with_capacity(2 * self.kept + LEAST_WASTE);
+            for frame in self.frames.values_mut() {
+                let first = echoes_mm.len();
+                echoes_mm.extend_from_slice(&self.echoes_mm[frame.echoes.clone()]);
+                frame.echoes = first..echoes_mm.len();
+            }
+            self.echoes_mm = echoes_mm;
+        }
     }
 
     /// Number of frames.
     pub fn len(&self) -> usize {
-        self.frames.len()
+        self.count
     }
 
     /// Whether there is no frame.
     pub fn is_empty(&self) -> bool {
-        self.frames.is_empty()
+        self.count == 0
     }
 
     /// Number of wall points in all frames.
     pub fn echo_count(&self) -> usize {
-        self.echoes_mm.len()
+        self.kept
     }
 
     /// Number of rays without an echo in all frames.
@@ -153,7 +244,7 @@ impl Track {
 
     /// Number of frames whose cylinder was estimated.
     pub fn estimated_count(&self) -> usize {
-        self.frames.iter().filter(|f| f.cylinder.is_some_and(|c| c.estimated)).count()
+        self.estimated
     }
 
     /// The local cylinder of a frame.
@@ -165,8 +256,8 @@ impl Track {
         let fail = |field, found: &str, expected: String| {
             Err(Error::Frame { frame, field, found: found.into(), expected })
         };
-        match self.frames.get(frame) {
-            None => fail("frame", "no such frame", format!("less than {}", self.frames.len())),
+        match self.frames.get(&frame) {
+            None => fail("frame", "no such frame", format!("less than {}", self.count)),
             Some(PlacedFrame { cylinder: None, echoes, .. }) => fail(
                 "cylinder",
                 &format!("no model and {} wall points", echoes.len()),
@@ -192,7 +283,25 @@ impl Track {
         let cylinder_from_world = cylinder.world_from_cylinder.inverse();
         let half_height = settings.height_mm / 2.0;
         let greatest_radius = settings.gate[1] * cylinder.radius_mm;
-        Ok(self.frames[..=frame].iter().filter_map(move |placed| {
+        let origin = cylinder.world_from_cylinder.translation_mm;
+        let mut numbers: Vec<usize> = self
+            .places
+            .iter()
+            .filter(|(place, Place { reach_mm, .. })| {
+                let Some(place) = place else { return true };
+                // No frame of the place is farther from its middle than half its diagonal; what is asked of each frame
+                // below is no less than this.
+                let middle = (place.as_dvec3() + 0.5) * PLACE_MM;
+                let reach =
+                    (half_height + 2.0 * reach_mm + 1.0).hypot(greatest_radius + 2.0 * reach_mm + 1.0);
+                middle.distance(origin) <= reach + PLACE_MM
+            })
+            .flat_map(|(_, place)| place.frames.iter().copied().take_while(|&number| number <= frame))
+            .collect();
+        // Places come in no order.
+        numbers.sort_unstable();
+        Ok(numbers.into_iter().filter_map(move |number| {
+            let placed = self.frames.get(&number)?;
             if placed.echoes.is_empty() {
                 return None;
             }

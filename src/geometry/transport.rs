@@ -32,7 +32,8 @@ pub fn rotation_minimising_frames(points: &[DVec3], tangents: &[DVec3]) -> Vec<D
     frames
 }
 
-/// The frame a chord farther, where the tangent is `tangent`: one step of [`rotation_minimising_frames`].
+/// The frame a chord farther, where the tangent is `tangent`: one step of [`rotation_minimising_frames`], in either
+/// direction of the curve.
 pub(crate) fn transported(previous: &DMat3, chord: DVec3, tangent: DVec3) -> DMat3 {
     let (mut x, mut t) = (previous.x_axis, previous.z_axis);
     if chord.length_squared() > 0.0 {

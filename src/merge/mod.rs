@@ -10,6 +10,7 @@ use crate::settings::Merge;
 use crate::surface::Surface;
 use crate::tube::face_triangles;
 use glam::DVec3;
+use std::ops::Range;
 
 /// A ring of a vessel.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,7 +38,9 @@ impl Vessel {
         match merge {
             Merge::Stitch => {
                 let mut vessel = Self::default();
-                cylinders.into_iter().for_each(|c| vessel.stitch(c, &c.tube.radii_mm));
+                for cylinder in cylinders {
+                    vessel.stitch(cylinder, &cylinder.tube.radii_mm);
+                }
                 vessel
             }
             Merge::Blend => {
@@ -51,21 +54,27 @@ impl Vessel {
     /// The vessel as a triangle surface: consecutive rings joined like the faces of a tube, normals outward,
     /// open at both ends. Arrays: `support` (points), `residual_mm`, `frame`.
     pub fn surface(&self) -> Surface {
-        let count = self.rings.first().map_or(0, |ring| ring.nodes_mm.len());
+        self.part(0..self.rings.len())
+    }
+
+    /// Some rings of it.
+    pub(crate) fn part(&self, rings: Range<usize>) -> Surface {
+        let rings = &self.rings[rings];
+        let count = rings.first().map_or(0, |ring| ring.nodes_mm.len());
         let node = |ring: usize, j: usize| (ring * count + j % count) as u32;
-        let triangles = (1..self.rings.len())
+        let triangles = (1..rings.len())
             .flat_map(|ring| (0..count).map(move |j| (ring - 1, j)))
             .flat_map(|(ring, j)| {
                 face_triangles(node(ring, j), node(ring, j + 1), node(ring + 1, j + 1), node(ring + 1, j))
             })
             .collect();
         let mut surface = Surface {
-            nodes_mm: self.rings.iter().flat_map(|r| r.nodes_mm.iter().copied()).collect(),
+            nodes_mm: rings.iter().flat_map(|r| r.nodes_mm.iter().copied()).collect(),
             triangles,
             arrays: Vec::new(),
         };
         let array = |value: &dyn Fn(&Ring, usize) -> f64| {
-            self.rings.iter().flat_map(|r| (0..count).map(|j| value(r, j)).collect::<Vec<_>>()).collect()
+            rings.iter().flat_map(|r| (0..count).map(|j| value(r, j)).collect::<Vec<_>>()).collect()
         };
         surface.set_array("support", array(&|r, j| f64::from(r.support[j])));
         surface.set_array("residual_mm", array(&|r, j| r.residual_mm[j]));

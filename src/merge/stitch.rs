@@ -7,7 +7,8 @@ impl Vessel {
     /// section 3.3; method, section 5): rings that it overlaps are dropped whole, the rest keep their order, and the
     /// new rings come behind them, all turned by one shift so that their node 0 is the one nearest to node 0 of the
     /// last kept ring. The lowest of equally near nodes is taken, looked for on the new cylinder's first ring.
-    pub fn stitch(&mut self, cylinder: &FittedCylinder, radii_mm: &[f64]) {
+    /// Returns the first ring that is new or has another number than before.
+    pub fn stitch(&mut self, cylinder: &FittedCylinder, radii_mm: &[f64]) -> usize {
         let count = cylinder.tube.tube.nodes;
         let nodes: Vec<DVec3> = cylinder.nodes_mm(radii_mm).collect();
         let cylinder_from_world = cylinder.world_from_cylinder.inverse();
@@ -19,7 +20,13 @@ impl Vessel {
             let q = cylinder_from_world.transform_point(node);
             q.x >= low.x && low.y <= q.y && q.y <= high.y && low.z <= q.z && q.z <= high.z
         };
-        self.rings.retain(|ring| !ring.nodes_mm.iter().any(overlaps));
+        let (mut first, mut dropped) = (0, false);
+        self.rings.retain(|ring| {
+            let keep = !ring.nodes_mm.iter().any(overlaps);
+            dropped |= !keep;
+            first += usize::from(!dropped);
+            keep
+        });
 
         let shift = self.rings.last().map_or(0, |last| {
             let distance = |j: usize| nodes[j].distance_squared(last.nodes_mm[0]);
@@ -35,5 +42,6 @@ impl Vessel {
                 residual_mm: (0..count).map(|j| cylinder.tube.residual_mm[per_node(j)]).collect(),
             });
         }
+        first
     }
 }

@@ -123,6 +123,13 @@ impl Axis {
         let frame = &self.frames[ring];
         self.points_mm[ring] + (frame.x_axis * cos + frame.y_axis * sin) * radius_mm
     }
+
+    /// As [`Axis::point_mm`], between two rings.
+    pub(super) fn point_between_mm(&self, ring: f64, theta_rad: f64, radius_mm: f64) -> DVec3 {
+        let below = (ring.max(0.0) as usize).min(self.rings() - 2);
+        let point = |ring: usize| self.point_mm(ring, theta_rad, radius_mm);
+        point(below).lerp(point(below + 1), ring - below as f64)
+    }
 }
 
 /// A natural cubic spline through points, by the length of their polyline.

@@ -10,9 +10,15 @@ use glam::DVec3;
 /// Clusters within so many cluster radii of each other touch.
 const TOUCH: f64 = 1.7;
 /// Centreline nodes per median lumen radius.
-const NODES_PER_RADIUS: f64 = 4.0;
+pub(super) const NODES_PER_RADIUS: f64 = 4.0;
 /// Bends of the centres that are shorter than so many lumen radii are left to the wall.
 const SHORTEST_BEND_RADII: f64 = 2.0;
+/// λ of the curve: the wavelength at which one with a centre a node loses a fifth of its amplitude.
+pub(super) const SMOOTHNESS: f64 = {
+    let wavelength = SHORTEST_BEND_RADII * NODES_PER_RADIUS / std::f64::consts::TAU;
+    let square = wavelength * wavelength;
+    4.0 * (square * square)
+};
 /// How often centres are projected on the curve and the curve drawn anew.
 const ROUNDS: usize = 4;
 /// Robust reweightings in each round.
@@ -111,7 +117,7 @@ fn shortest_paths(
 }
 
 /// Points of a polyline at equal steps of its length, about `step` apart, both ends among them.
-fn resampled(curve: &[DVec3], step: f64) -> Vec<DVec3> {
+pub(super) fn resampled(curve: &[DVec3], step: f64) -> Vec<DVec3> {
     let lengths = lengths(curve);
     let total = lengths[lengths.len() - 1];
     let count = ((total / step).ceil() as usize).max(2);
@@ -163,13 +169,11 @@ fn smoothed(curve: &[DVec3], centres: &[DVec3], radius: f64) -> Option<Vec<DVec3
     let nearest = |&(node, share): &(usize, f64)| node + usize::from(share >= 0.5);
     let mut here = vec![0.0; nodes];
     places.iter().for_each(|place| here[nearest(place)] += 1.0);
-    // The wavelength at which a curve with one centre a node loses a fifth of its amplitude.
-    let smoothness = 4.0 * (SHORTEST_BEND_RADII * NODES_PER_RADIUS / std::f64::consts::TAU).powi(4);
 
     let mut weights = vec![1.0; centres.len()];
     let mut nodes_mm = Vec::new();
     for _ in 0..REWEIGHTINGS {
-        let mut equations = Pentadiagonal::second_differences(nodes, smoothness);
+        let mut equations = Pentadiagonal::second_differences(nodes, SMOOTHNESS);
         let mut right = vec![DVec3::ZERO; nodes];
         for ((place, &centre), weight) in places.iter().zip(centres).zip(&weights) {
             let (node, share) = *place;

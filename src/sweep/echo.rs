@@ -2,7 +2,6 @@
 
 use super::axis::Place;
 use super::grid::Grid;
-use super::wall::Wall;
 use glam::DVec3;
 use std::f64::consts::TAU;
 
@@ -16,6 +15,17 @@ pub(super) const GATE_RADII: f64 = 0.25;
 /// Feet are not looked for farther away than so many standard deviations.
 pub(super) const FARTHEST_FOOT_SDS: f64 = 3.0;
 
+/// What an echo is held against.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Held<'a> {
+    pub grid: &'a Grid,
+    pub radii_mm: &'a [f64],
+    /// Standard deviation of an echo about the wall, mm.
+    pub noise_mm: f64,
+    /// Share of the noise's variance across the image plane.
+    pub out_of_plane: f64,
+}
+
 /// An echo about the axis.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Echo {
@@ -28,6 +38,8 @@ pub(super) struct Echo {
     image_normal: DVec3,
     stretch: f64,
     pub(super) frame: u32,
+    /// How much it counts: 1, or less for an old one.
+    pub(super) weight: f64,
     /// From the echo to its foot on the wall, in rings and nodes.
     shift: [f64; 2],
     /// Distance to the wall in units of the noise along its way, mm; positive outside the wall.
@@ -43,6 +55,7 @@ impl Echo {
             image_normal: place.directions.transpose() * image_normal,
             stretch: place.stretch,
             frame,
+            weight: 1.0,
             shift: [0.0; 2],
             miss_mm: 0.0,
         }
@@ -89,13 +102,12 @@ impl Echo {
 
     /// Finds the foot on the wall and measures the way to it.
     ///
-    /// Errors of an echo have covariance `Σ ∝ I - (1 - ε) z zᵀ` with z the image plane's normal and ε the wall's
-    /// `out_of_plane`, so the likeliest point
-    /// of the wall lies along `Σn`, n being the wall's normal, at `nᵀd / √(nᵀΣn)` standard deviations. Straight down to
+    /// Errors of an echo have covariance `Σ ∝ I - (1 - ε) z zᵀ` with z the image plane's normal and `out_of_plane` = ε, so the likeliest
+    /// point of the wall lies along `Σn`, n being the wall's normal, at `nᵀd / √(nᵀΣn)` standard deviations. Straight down to
     /// the axis instead, an echo that noise moved outwards along a tilted plane would be held against the wall
     /// farther along: where a catheter rests tilted, that lifts the wall by as much as the noise.
-    pub(super) fn measure(&mut self, grid: &Grid, wall: &Wall, feet: bool) -> Measured {
-        let Wall { radii_mm: radii, noise_mm: noise, out_of_plane, .. } = wall;
+    pub(super) fn measure(&mut self, held: Held, feet: bool) -> Measured {
+        let Held { grid, radii_mm: radii, noise_mm: noise, out_of_plane } = held;
         let (ring, node) = self.foot();
         let corners = grid.corners(ring, node);
         let [r0, r1, r2] = corners.nodes.map(|n| radii[n]);
@@ -119,6 +131,30 @@ impl Echo {
         }
         let weight = normal.x * normal.x / variance;
         Measured { radial_mm: across / normal.x, weight, wall_mm: wall, normal }
+    }
+
+    /// As [`Echo::measure`], about a wall of which nothing is known yet: it is taken to be a tube, right under the echo.
+    pub(super) fn measure_straight(&mut self) -> Measured {
+        self.shift = [0.0; 2];
+        self.miss_mm = 0.0;
+        let tilt = self.image_normal.x;
+        let weight = (1.0 - (1.0 - OUT_OF_PLANE) * tilt * tilt).recip();
+        Measured { radial_mm: 0.0, weight, wall_mm: self.radius_mm, normal: DVec3::X }
+    }
+
+    /// Where it is about the axis: ring and node.
+    pub(super) fn place(&self) -> (f64, f64) {
+        (self.ring, self.node)
+    }
+
+    /// Takes another's foot over.
+    pub(super) fn keep_foot_of(&mut self, other: &Self) {
+        (self.shift, self.miss_mm) = (other.shift, other.miss_mm);
+    }
+
+    /// Counts rings from one that lies `rings` before.
+    pub(super) fn renumber(&mut self, rings: usize) {
+        self.ring += rings as f64;
     }
 
     /// Whether the echo was seen on this wall.

@@ -22,7 +22,17 @@ pub(super) fn fit(
     echoes: &mut [Echo],
     settings: &Settings,
 ) -> Result<(Wall, EngineDescription)> {
+    let ages = settings.sweep.half_life_s.is_some();
     match settings.backend {
+        Backend::Auto if ages => {
+            fit_on_cpu(grid, echoes, settings, Some("devices weigh all echoes alike".into()))
+        }
+        #[cfg(feature = "gpu")]
+        Backend::Gpu if ages => Err(crate::Error::Setting {
+            name: "backend",
+            found: "gpu".into(),
+            expected: "auto or cpu with sweep.half_life_s: devices weigh all echoes alike".into(),
+        }),
         Backend::Cpu => fit_on_cpu(grid, echoes, settings, None),
         // The CPU's sweep is the yardstick already.
         Backend::Reference => {

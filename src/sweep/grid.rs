@@ -5,6 +5,7 @@ use super::median;
 use realfft::num_complex::Complex64;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use std::f64::consts::TAU;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// `rings` rings of `nodes` nodes; node (k, j) has index `k·nodes + j` and lies at `θ = 2πj/nodes`. Faces and
@@ -245,7 +246,7 @@ impl<'a> System<'a> {
 
 impl Equations {
     /// No points yet, over the rings `rings` of a grid.
-    pub(super) fn over(grid: &Grid, rings: std::ops::Range<usize>) -> Self {
+    pub(super) fn over(grid: &Grid, rings: Range<usize>) -> Self {
         let first = rings.start * grid.nodes;
         Self { first, rows: vec![[0.0; 5]; rings.len() * grid.nodes] }
     }
@@ -267,10 +268,11 @@ impl Equations {
         self.rows[c][4] += weight * r * value;
     }
 
-    /// Adds sums over other points.
+    /// Adds sums over other points, as far as they lie on the nodes held here.
     pub(super) fn merge(&mut self, other: &Self) {
-        let shift = other.first - self.first;
-        for (mine, theirs) in self.rows[shift..].iter_mut().zip(&other.rows) {
+        let skipped = self.first.saturating_sub(other.first).min(other.rows.len());
+        let shift = (other.first + skipped).saturating_sub(self.first).min(self.rows.len());
+        for (mine, theirs) in self.rows[shift..].iter_mut().zip(&other.rows[skipped..]) {
             for (a, b) in mine.iter_mut().zip(theirs) {
                 *a += b;
             }
@@ -281,6 +283,33 @@ impl Equations {
     #[cfg(all(test, feature = "gpu"))]
     pub(super) fn rows(&self) -> &[[f64; 5]] {
         &self.rows
+    }
+
+    /// Weighs all points anew.
+    pub(super) fn scale(&mut self, factor: f64) {
+        self.rows.as_flattened_mut().iter_mut().for_each(|x| *x *= factor);
+    }
+
+    /// Counts nodes from one that lies `nodes` before.
+    pub(super) fn renumber(&mut self, nodes: usize) {
+        self.first += nodes;
+    }
+
+    /// The equations of the change that `x` still needs on the rings `free`; the others are held where they are.
+    pub(super) fn of_change(mut self, grid: &Grid, smoothness: f64, x: &[f64], free: Range<usize>) -> Self {
+        let mut product = vec![0.0; x.len()];
+        self.apply(grid, x, &mut product);
+        grid.add_bending(x, smoothness, &Ease::default(), &mut product);
+        let bending = smoothness * grid.cell_mm2() * (grid.step_mm.powi(-4) + grid.arc_mm.powi(-4));
+        let stiff = HELD * (bending + self.rows.iter().fold(0.0, |most: f64, row| most.max(row[0])));
+        for (node, (row, product)) in self.rows.iter_mut().zip(product).enumerate() {
+            row[4] -= product;
+            if !free.contains(&(node / grid.nodes)) {
+                row[0] += stiff;
+                row[4] = 0.0;
+            }
+        }
+        self
     }
 
     /// `out = (points' couplings)·x`.
@@ -321,17 +350,26 @@ pub(super) struct Solver {
     grid: Grid,
     forward: Arc<dyn RealToComplex<f64>>,
     backward: Arc<dyn ComplexToReal<f64>>,
+    most_steps: usize,
 }
 
 /// Steps after which conjugate gradients give up to come nearer.
 pub(super) const MOST_STEPS: usize = 100;
+/// Nodes that are held are so many times as stiff as any other.
+const HELD: f64 = 1e6;
 
 impl Solver {
     pub(super) fn new(grid: Grid) -> Self {
         let mut planner = RealFftPlanner::new();
         let (forward, backward) =
             (planner.plan_fft_forward(grid.nodes), planner.plan_fft_inverse(grid.nodes));
-        Self { grid, forward, backward }
+        Self { grid, forward, backward, most_steps: MOST_STEPS }
+    }
+
+    /// A solver over another grid with as many nodes a ring, which takes at most so many steps.
+    pub(super) fn over(&self, grid: Grid, most_steps: usize) -> Self {
+        let (forward, backward) = (self.forward.clone(), self.backward.clone());
+        Self { grid, forward, backward, most_steps }
     }
 
     /// Improves `x` until the residual is `tolerance` times that of `x = 0`; returns the number of steps.
@@ -357,7 +395,7 @@ impl Solver {
         self.precondition(&precondition, &mut z);
         let mut direction = z.clone();
         let mut size = dot(&residual, &z);
-        for step in 0..MOST_STEPS {
+        for step in 0..self.most_steps {
             if size.is_nan() || size <= enough {
                 return step;
             }
@@ -379,7 +417,7 @@ impl Solver {
                 direction[i] = z[i] + turn * direction[i];
             }
         }
-        MOST_STEPS
+        self.most_steps
     }
 
     /// One system for each frequency about the axis.

@@ -127,7 +127,7 @@ impl<'a> Joint<'a> {
                 let mut echo = echoes[i];
                 let frame = echo.frame as usize;
                 let (ring, node) = echo.foot();
-                let measured = echo.measure(grid, wall, false);
+                let measured = echo.measure(wall.held(grid), false);
                 let (point, directions) = axis.at(echo.ring(), echo.theta_rad(grid.nodes), echo.radius_mm);
                 let arm = point - sensors[frame].translation_mm;
                 let normal = directions * measured.normal;

@@ -15,17 +15,20 @@ mod engine;
 pub mod gpu;
 mod grid;
 mod joint;
+mod live;
 pub mod passes;
 mod support;
 mod tracker;
 mod wall;
 
 pub use axis::Axis;
+pub(crate) use live::LiveSweep;
 pub use support::Support;
 pub use tracker::Tracker;
 
 use crate::fit::EngineDescription;
 use crate::geometry::Pose;
+use crate::live::FRAME_INTERVAL_S;
 use crate::recording::{Frame, Recording};
 use crate::settings::Settings;
 use crate::surface::Surface;
@@ -39,6 +42,7 @@ use grid::Grid;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
+use std::ops::Range;
 use std::time::Instant;
 use tracker::Scene;
 use wall::Wall;
@@ -194,6 +198,9 @@ impl Sweep {
 
         let start = Instant::now();
         let mut echoes = placed(frames, &poses, &axis, nodes);
+        if let Some(half_life_s) = settings.sweep.half_life_s {
+            age(&mut echoes, &times_s(frames), half_life_s);
+        }
         let place_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
@@ -217,8 +224,7 @@ impl Sweep {
         // Noise along a round wall moves echoes outwards: half its variance times the wall's curvature.
         let tangential_noise_mm = tangential_noise_mm(frames).min(wall.noise_mm);
         for radius in &mut wall.radii_mm {
-            *radius -=
-                tangential_noise_mm * tangential_noise_mm / (2.0 * radius.abs().max(tangential_noise_mm));
+            *radius -= bulge_mm(*radius, tangential_noise_mm);
         }
 
         let start = Instant::now();
@@ -264,35 +270,8 @@ impl Sweep {
     /// supported unless `keep_unsupported`. Arrays: `support` (echoes), `residual_mm`, `standard_error_mm`, `frame`
     /// (last seen), `supported` (1 or 0).
     pub fn surface(&self, keep_unsupported: bool) -> Surface {
-        let nodes = self.nodes;
-        let is_kept = |node: usize| keep_unsupported || self.support.supported[node];
-        let mut triangles: Vec<[u32; 3]> = (1..self.axis.rings())
-            .flat_map(|ring| {
-                (0..nodes).map(move |j| ((ring - 1) * nodes + j, (ring - 1) * nodes + (j + 1) % nodes))
-            })
-            .flat_map(|(a, b)| face_triangles(a as u32, b as u32, (b + nodes) as u32, (a + nodes) as u32))
-            .filter(|triangle| triangle.iter().all(|&n| is_kept(n as usize)))
-            .collect();
-        let mut index = vec![u32::MAX; self.radii_mm.len()];
-        triangles.iter().flatten().for_each(|&n| index[n as usize] = 0);
-        let kept: Vec<usize> = (0..index.len()).filter(|&n| index[n] == 0).collect();
-        kept.iter().zip(0..).for_each(|(&n, new)| index[n] = new);
-        triangles.iter_mut().flatten().for_each(|n| *n = index[*n as usize]);
-        let position = |&n: &usize| {
-            self.axis.point_mm(n / nodes, TAU * (n % nodes) as f64 / nodes as f64, self.radii_mm[n])
-        };
-        let mut surface =
-            Surface { nodes_mm: kept.iter().map(position).collect(), triangles, arrays: Vec::new() };
-        let Support { echoes, residual_mm, standard_error_mm, last_frame, supported } = &self.support;
-        let mut array = |name, value: &dyn Fn(usize) -> f64| {
-            surface.set_array(name, kept.iter().map(|&n| value(n)).collect());
-        };
-        array("support", &|n| f64::from(echoes[n]));
-        array("residual_mm", &|n| residual_mm[n]);
-        array("standard_error_mm", &|n| standard_error_mm[n]);
-        array("frame", &|n| last_frame[n].map_or(f64::NAN, f64::from));
-        array("supported", &|n| f64::from(u8::from(supported[n])));
-        surface
+        let rings = 0..self.axis.rings();
+        mesh(&self.axis, self.nodes, rings, &self.support, |node| self.radii_mm[node], keep_unsupported)
     }
 }
 
@@ -321,6 +300,45 @@ fn without(frames: &[Frame], blind: &[usize]) -> Vec<Frame> {
     let mut frames = frames.to_vec();
     blind.iter().for_each(|&k| frames[k].contour_mm.clear());
     frames
+}
+
+/// Some rings as [`Sweep::surface`] has them: all nodes, or the triangles that are supported.
+fn mesh(
+    axis: &Axis,
+    nodes: usize,
+    rings: Range<usize>,
+    support: &Support,
+    radius_mm: impl Fn(usize) -> f64,
+    keep_unsupported: bool,
+) -> Surface {
+    let first = rings.start * nodes;
+    let mut triangles: Vec<[u32; 3]> = (0..rings.len().saturating_sub(1))
+        .flat_map(|ring| (0..nodes).map(move |j| (ring * nodes + j, ring * nodes + (j + 1) % nodes)))
+        .flat_map(|(a, b)| face_triangles(a as u32, b as u32, (b + nodes) as u32, (a + nodes) as u32))
+        .filter(|triangle| {
+            keep_unsupported || triangle.iter().all(|&n| support.supported[first + n as usize])
+        })
+        .collect();
+    let mut index = vec![if keep_unsupported { 0 } else { u32::MAX }; rings.len() * nodes];
+    triangles.iter().flatten().for_each(|&n| index[n as usize] = 0);
+    let kept: Vec<usize> = (0..index.len()).filter(|&n| index[n] == 0).collect();
+    kept.iter().zip(0..).for_each(|(&n, new)| index[n] = new);
+    triangles.iter_mut().flatten().for_each(|n| *n = index[*n as usize]);
+    let kept: Vec<usize> = kept.into_iter().map(|n| first + n).collect();
+    let position =
+        |&n: &usize| axis.point_mm(n / nodes, TAU * (n % nodes) as f64 / nodes as f64, radius_mm(n));
+    let mut surface =
+        Surface { nodes_mm: kept.iter().map(position).collect(), triangles, arrays: Vec::new() };
+    let Support { echoes, residual_mm, standard_error_mm, last_frame, supported } = support;
+    let mut array = |name, value: &dyn Fn(usize) -> f64| {
+        surface.set_array(name, kept.iter().map(|&n| value(n)).collect());
+    };
+    array("support", &|n| f64::from(echoes[n]));
+    array("residual_mm", &|n| residual_mm[n]);
+    array("standard_error_mm", &|n| standard_error_mm[n]);
+    array("frame", &|n| last_frame[n].map_or(f64::NAN, f64::from));
+    array("supported", &|n| f64::from(u8::from(supported[n])));
+    surface
 }
 
 /// Wall points of all frames.
@@ -386,23 +404,55 @@ fn placed(frames: &[Frame], poses: &[Pose], axis: &Axis, nodes: usize) -> Vec<Ec
     echoes
 }
 
+/// When the frames were taken, s; without a time, [`FRAME_INTERVAL_S`] after the one before.
+fn times_s(frames: &[Frame]) -> Vec<f64> {
+    let times = frames.iter().scan(-FRAME_INTERVAL_S, |clock, frame| {
+        *clock = frame.time_s.unwrap_or(*clock + FRAME_INTERVAL_S);
+        Some(*clock)
+    });
+    times.collect()
+}
+
+/// Lets echoes, sorted along the axis, count less the more time lies between them and the newest of those between the
+/// same two rings.
+fn age(echoes: &mut [Echo], times_s: &[f64], half_life_s: f64) {
+    let time = |echo: &Echo| times_s[echo.frame as usize];
+    for level in echoes.chunk_by_mut(|a, b| a.ring() as usize == b.ring() as usize) {
+        let newest = level.iter().map(time).fold(f64::NEG_INFINITY, f64::max);
+        level.iter_mut().for_each(|echo| echo.weight = ((time(echo) - newest) / half_life_s).exp2());
+    }
+}
+
 /// Noise of the contours along the wall, mm.
 ///
 /// A probe looks along rays at even angles; so do points that were drawn on its image, in pieces. Second differences
 /// of the angle from point to point therefore show the noise across the rays alone: they have six times its variance.
 fn tangential_noise_mm(frames: &[Frame]) -> f64 {
-    let mut jumps = Vec::new();
-    for frame in frames {
-        for triple in frame.contour_mm.windows(3) {
-            let [a, b, c] = [triple[0], triple[1], triple[2]];
-            if !(a.is_nan() || b.is_nan() || c.is_nan()) {
-                let turn = |d: f64| (d + PI).rem_euclid(TAU) - PI;
-                let [a, b_angle, c] = [a, b, c].map(|p| p.y.atan2(p.x));
-                jumps.push((turn(c - b_angle) - turn(b_angle - a)).abs() * b.length());
-            }
-        }
+    TANGENTIAL_PER_JUMP * median(&mut frames.iter().flat_map(jumps_mm).collect::<Vec<_>>())
+}
+
+/// How far noise along a round wall moves echoes outwards on average, mm.
+fn bulge_mm(radius_mm: f64, tangential_noise_mm: f64) -> f64 {
+    if tangential_noise_mm == 0.0 {
+        return 0.0;
     }
-    1.4826 * median(&mut jumps) / 6.0_f64.sqrt()
+    tangential_noise_mm * tangential_noise_mm / (2.0 * radius_mm.abs().max(tangential_noise_mm))
+}
+
+/// Standard deviation along the wall by the median jump.
+const TANGENTIAL_PER_JUMP: f64 = 1.4826 / 2.449_489_742_783_178;
+
+/// Second differences of the angle from point to point, as lengths at the wall, mm.
+fn jumps_mm(frame: &Frame) -> impl Iterator<Item = f64> + '_ {
+    frame.contour_mm.windows(3).filter_map(|triple| {
+        let [a, b, c] = [triple[0], triple[1], triple[2]];
+        if a.is_nan() || b.is_nan() || c.is_nan() {
+            return None;
+        }
+        let turn = |d: f64| (d + PI).rem_euclid(TAU) - PI;
+        let [a, b_angle, c] = [a, b, c].map(|p| p.y.atan2(p.x));
+        Some((turn(c - b_angle) - turn(b_angle - a)).abs() * b.length())
+    })
 }
 
 /// The upper median; 0 of nothing. Reorders the values.

@@ -8,7 +8,7 @@ use super::wall::Wall;
 /// What the radius of every node rests on. All lists have one value per node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Support {
-    /// Echoes nearer to the node than to the two others of their triangle.
+    /// Echoes nearer to the node than to the two others of their triangle; with a half-life, their weight.
     pub echoes: Vec<u32>,
     /// Root mean square distance to the wall of the echoes about the node, mm; NaN without any.
     pub residual_mm: Vec<f64>,
@@ -31,61 +31,141 @@ const MOST_OFF_WALL: f64 = 0.5;
 const FARTHEST_REACH: f64 = 0.05;
 
 impl Support {
+    /// Of no nodes.
+    pub(super) fn none() -> Self {
+        Self {
+            echoes: Vec::new(),
+            residual_mm: Vec::new(),
+            standard_error_mm: Vec::new(),
+            last_frame: Vec::new(),
+            supported: Vec::new(),
+        }
+    }
+
+    /// Makes room for nodes that rest on nothing.
+    pub(super) fn insert(&mut self, at: usize, count: usize) {
+        use std::iter::repeat_n;
+        self.echoes.splice(at..at, repeat_n(0, count));
+        self.residual_mm.splice(at..at, repeat_n(f64::NAN, count));
+        self.standard_error_mm.splice(at..at, repeat_n(f64::INFINITY, count));
+        self.last_frame.splice(at..at, repeat_n(None, count));
+        self.supported.splice(at..at, repeat_n(false, count));
+    }
+
     pub(super) fn of(grid: &Grid, echoes: &[Echo], wall: &Wall) -> Self {
-        let count = grid.node_count();
-        let (mut own, mut off_wall, mut squares) = (vec![0.0; count], vec![0.0; count], vec![0.0; count]);
-        let mut last_frame = vec![None; count];
+        let mut tally = Tally::new(grid.node_count());
         for echo in echoes {
             let (ring, node) = echo.foot();
             let node = grid.corners(ring, node).nearest();
-            if echo.is_inlier(wall.noise_mm) {
-                own[node] += 1.0;
-                squares[node] += echo.miss_mm * echo.miss_mm;
-                last_frame[node] = last_frame[node].max(Some(echo.frame));
-            } else {
-                off_wall[node] += 1.0;
-            }
+            let squares_mm2 = echo.weight * echo.miss_mm * echo.miss_mm;
+            tally.add(node, echo.is_inlier(wall.noise_mm), echo.weight, squares_mm2, echo.frame);
         }
+        let density = median(&mut tally.own().filter(|&n| n > 0.0).collect::<Vec<_>>()) / grid.cell_mm2();
+        let weighed = tally.weighed(grid, density, wall.smoothness_mm2);
+        let mut errors: Vec<f64> =
+            weighed.standard_error_mm.iter().copied().filter(|e| e.is_finite()).collect();
+        let largest = largest_error_mm(median(&mut errors), grid);
+        Self {
+            echoes: tally.own().map(|n| n as u32).collect(),
+            supported: (0..grid.node_count())
+                .map(|node| weighed.standard_error_mm[node] <= largest && !weighed.is_mouth[node])
+                .collect(),
+            residual_mm: weighed.residual_mm,
+            standard_error_mm: weighed.standard_error_mm,
+            last_frame: tally.last_frame,
+        }
+    }
+}
+
+/// The largest standard error of a supported node, mm, where the median is `median_mm`.
+pub(super) fn largest_error_mm(median_mm: f64, grid: &Grid) -> f64 {
+    (LARGEST_ERROR_MEDIANS * median_mm).max(LARGEST_ERROR_RADII * grid.radius_mm())
+}
+
+/// The echoes of a grid as they fall to its nodes.
+#[derive(Debug, Clone)]
+pub(super) struct Tally {
+    /// Per node: weight of the echoes on the wall, of those off it, and the former's squared misses, mm².
+    sums: Vec<[f64; 3]>,
+    /// The last frame that saw the wall there.
+    pub(super) last_frame: Vec<Option<u32>>,
+}
+
+/// What a [`Tally`] says about each node.
+pub(super) struct Weighed {
+    pub residual_mm: Vec<f64>,
+    pub standard_error_mm: Vec<f64>,
+    /// Whether most echoes about lie off the wall.
+    pub is_mouth: Vec<bool>,
+}
+
+impl Tally {
+    pub(super) fn new(nodes: usize) -> Self {
+        Self { sums: vec![[0.0; 3]; nodes], last_frame: vec![None; nodes] }
+    }
+
+    /// Adds echoes of some weight whose squared misses, times weight, sum to `squares_mm2`.
+    pub(super) fn add(&mut self, node: usize, on_wall: bool, weight: f64, squares_mm2: f64, frame: u32) {
+        let [own, off_wall, squares] = &mut self.sums[node];
+        if on_wall {
+            *own += weight;
+            *squares += squares_mm2;
+            self.last_frame[node] = self.last_frame[node].max(Some(frame));
+        } else {
+            *off_wall += weight;
+        }
+    }
+
+    /// Adds what fell to nodes of another list: its node `theirs` is `mine` here, and so on.
+    pub(super) fn merge(&mut self, mine: usize, other: &Self, theirs: usize) {
+        for (sums, others) in self.sums.iter_mut().skip(mine).zip(other.sums.iter().skip(theirs)) {
+            sums.iter_mut().zip(others).for_each(|(a, b)| *a += b);
+        }
+        for (last, other) in self.last_frame.iter_mut().skip(mine).zip(other.last_frame.iter().skip(theirs)) {
+            *last = (*last).max(*other);
+        }
+    }
+
+    /// Weighs all echoes anew.
+    pub(super) fn scale(&mut self, factor: f64) {
+        self.sums.as_flattened_mut().iter_mut().for_each(|x| *x *= factor);
+    }
+
+    /// Weight of the echoes on the wall, node by node.
+    pub(super) fn own(&self) -> impl Iterator<Item = f64> + '_ {
+        self.sums.iter().map(|sums| sums[0])
+    }
+
+    /// Weighs what every node rests on, where there are `density` echoes a mm² in the median.
+    pub(super) fn weighed(&self, grid: &Grid, density: f64, smoothness_mm2: f64) -> Weighed {
+        let count = grid.node_count();
         // Bending spreads the pull of an echo over ℓ = (λ/ρ)^¼, ρ being echoes per area.
-        let density =
-            median(&mut own.iter().copied().filter(|&n| n > 0.0).collect::<Vec<_>>()) / grid.cell_mm2();
-        let reach_mm = (wall.smoothness_mm2 / density.max(f64::MIN_POSITIVE)).powf(0.25);
+        let reach_mm = (smoothness_mm2 / density.max(f64::MIN_POSITIVE)).powf(0.25);
         let farthest_mm = FARTHEST_REACH * std::f64::consts::TAU * grid.radius_mm();
         let reach = [grid.step_mm, grid.arc_mm]
             .map(|spacing| 1.max((reach_mm.min(farthest_mm) / spacing).round() as usize));
         let window = reach.iter().map(|&reach| 2.0 * reach as f64 + 1.0).product::<f64>();
         let window_mm2 = window * grid.cell_mm2();
 
-        let about = Moments::about(grid, &own, reach);
-        let off_wall = Moments::about(grid, &off_wall, reach).sums;
-        let squares = Moments::about(grid, &squares, reach).sums;
+        let of = |k: usize| self.sums.iter().map(|sums| sums[k]).collect::<Vec<_>>();
+        let about = Moments::about(grid, &of(0), reach);
+        let off_wall = Moments::about(grid, &of(1), reach).sums;
+        let squares = Moments::about(grid, &of(2), reach).sums;
         let variance = |node: usize| squares[node] / about.sums[node];
-        let standard_error_mm: Vec<f64> = (0..count)
-            .map(|node| {
-                if about.sums[node] == 0.0 {
-                    return f64::INFINITY;
-                }
-                // Of a thin plate on evenly spread points: σ² / (8 √(λρ)).
-                let plate =
-                    variance(node) / (8.0 * (wall.smoothness_mm2 * about.sums[node] / window_mm2).sqrt());
-                (plate * about.leverage(node)).sqrt()
-            })
-            .collect();
-        let mut errors: Vec<f64> = standard_error_mm.iter().copied().filter(|e| e.is_finite()).collect();
-        let largest =
-            (LARGEST_ERROR_MEDIANS * median(&mut errors)).max(LARGEST_ERROR_RADII * grid.radius_mm());
-        let supported = (0..count)
-            .map(|node| {
-                let share = off_wall[node] / (off_wall[node] + about.sums[node]);
-                standard_error_mm[node] <= largest && share <= MOST_OFF_WALL
-            })
-            .collect();
-        Self {
-            echoes: own.iter().map(|&n| n as u32).collect(),
+        let standard_error = |node: usize| {
+            if about.sums[node] == 0.0 {
+                return f64::INFINITY;
+            }
+            // Of a thin plate on evenly spread points: σ² / (8 √(λρ)).
+            let plate = variance(node) / (8.0 * (smoothness_mm2 * about.sums[node] / window_mm2).sqrt());
+            (plate * about.leverage(node)).sqrt()
+        };
+        Weighed {
             residual_mm: (0..count).map(|node| variance(node).sqrt()).collect(),
-            standard_error_mm,
-            last_frame,
-            supported,
+            standard_error_mm: (0..count).map(standard_error).collect(),
+            is_mouth: (0..count)
+                .map(|node| off_wall[node] / (off_wall[node] + about.sums[node]) > MOST_OFF_WALL)
+                .collect(),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The wall about the axis: robust penalised least squares on radii, with every echo measured across the wall.
 
-use super::echo::{Echo, OUT_OF_PLANE, gate};
+use super::echo::{Echo, Held, OUT_OF_PLANE, gate};
 use super::grid::{Equations, Grid, Solver, System};
 use super::median;
 use crate::Result;
@@ -89,6 +89,12 @@ impl Wall {
             solver_steps: 0,
         }
     }
+
+    /// What an echo is held against.
+    pub(super) fn held<'a>(&'a self, grid: &'a Grid) -> Held<'a> {
+        let Self { radii_mm, noise_mm, out_of_plane, .. } = self;
+        Held { grid, radii_mm, noise_mm: *noise_mm, out_of_plane: *out_of_plane }
+    }
 }
 
 /// Fits a wall. `roughness` is τ: λ = (noise/τ)².
@@ -155,7 +161,7 @@ pub(super) fn huber(noise_mm: f64, miss_mm: f64) -> f64 {
 pub(super) fn measure(grid: &Grid, echoes: &mut [Echo], wall: &Wall, feet: bool) {
     echoes.par_chunks_mut(TASK).for_each(|task| {
         for echo in task {
-            echo.measure(grid, wall, feet);
+            echo.measure(wall.held(grid), feet);
         }
     });
 }
@@ -188,13 +194,13 @@ impl<'a> OnCpu<'a> {
                 let mut sums = Equations::over(grid, low..high + 2);
                 for echo in task {
                     let (ring, node) = echo.foot();
-                    let measured = echo.measure(grid, wall, false);
+                    let measured = echo.measure(wall.held(grid), false);
                     let miss = echo.miss_mm.abs();
                     if !rough && miss > gate(wall.noise_mm, measured.wall_mm) {
                         continue;
                     }
                     let corners = grid.corners(ring, node);
-                    let weight = huber(wall.noise_mm, miss) * measured.weight;
+                    let weight = huber(wall.noise_mm, miss) * measured.weight * echo.weight;
                     sums.add(&corners, weight, measured.wall_mm + measured.radial_mm);
                 }
                 sums

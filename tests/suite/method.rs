@@ -406,7 +406,9 @@ fn the_published_fitting_errors_come_out() {
         let found = [0, 1, 2, 3].map(error_after);
         let vessel_after = |iteration: usize| {
             let mut vessel = Vessel::default();
-            cylinders.iter().for_each(|c| vessel.stitch(c, &c.tube.history_mm[iteration]));
+            cylinders.iter().for_each(|c| {
+                vessel.stitch(c, &c.tube.history_mm[iteration]);
+            });
             vessel
         };
         let error = |vessel: &Vessel| {

@@ -28,6 +28,7 @@ const PLAIN: SweepSettings = SweepSettings {
     keep_unsupported: false,
     correct_poses: false,
     estimate_offset: false,
+    half_life_s: None,
 };
 const POSES: SweepSettings = SweepSettings { correct_poses: true, ..PLAIN };
 const OFFSET: SweepSettings = SweepSettings { estimate_offset: true, ..PLAIN };

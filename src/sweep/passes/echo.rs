@@ -187,7 +187,7 @@ mod tests {
             for (echo, shift) in echoes.iter_mut().zip(&mut shifts) {
                 let (miss, moved) = measure(&job, &echo.for_device(&GRID, START_MM), &wall, *shift);
                 let before = echo.foot();
-                echo.measure(&GRID, &on_cpu(&radii, NOISE_MM), true);
+                echo.measure(on_cpu(&radii, NOISE_MM).held(&GRID), true);
                 // A dozen roundings of some 4 mm.
                 if (f64::from(miss) - echo.miss_mm).abs() > 2e-5 {
                     on_other_triangles += 1;
@@ -219,7 +219,7 @@ mod tests {
             let mut expected = Equations::over(&GRID, 0..GRID.rings);
             for mut echo in echoes.iter().copied() {
                 accumulate(&job, &echo.for_device(&GRID, START_MM), &wall, [0.0; 2], &mut sums);
-                let measured = echo.measure(&GRID, &on_cpu(&radii, NOISE_MM / 4.0), false);
+                let measured = echo.measure(on_cpu(&radii, NOISE_MM / 4.0).held(&GRID), false);
                 let miss = echo.miss_mm.abs();
                 if gated == 0 || miss <= crate::sweep::echo::gate(NOISE_MM / 4.0, measured.wall_mm) {
                     let robust = (crate::sweep::wall::HUBER * NOISE_MM / 4.0 / miss).min(1.0);

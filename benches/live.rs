@@ -1,0 +1,106 @@
+//! How long a frame takes while the recording goes on: target L1, p99 of at most 5 ms.
+//!
+//! `cargo bench --bench live`. Every frame of `recordings/adult_aorta_noisy.mat` in the folder of shared data
+//! (`LUMENMESH_SHARED`, default `../shared`), and a catheter that moves on and then rests for 20,000 frames; both
+//! methods. CPU time stands beside wall-clock time, and the machine's load is printed. With `-- --test` everything
+//! runs once on little work.
+
+#![expect(clippy::unwrap_used, reason = "a bench that cannot go on stops there")]
+
+use cpu_time::ProcessTime;
+use lumenmesh::fit::engine;
+use lumenmesh::live::Live;
+use lumenmesh::reconstruction::Reconstruction;
+use lumenmesh::recording::{Frame, Recording};
+use lumenmesh::settings::{Method, Settings};
+use lumenmesh::simulate::{self, Insertion, Move, Phantom, Shape, Simulation};
+use lumenmesh::surface::Surface;
+use lumenmesh::sweep::Sweep;
+use std::path::PathBuf;
+use std::time::Instant;
+
+fn percentiles(mut values: Vec<f64>) -> String {
+    values.sort_by(f64::total_cmp);
+    let rank = |share: f64| values[((share * values.len() as f64).ceil() as usize).max(1) - 1];
+    format!("p50 {:.3}, p95 {:.3}, p99 {:.3}, max {:.3} ms", rank(0.5), rank(0.95), rank(0.99), rank(1.0))
+}
+
+/// The vessel after all frames, and wall-clock and CPU time of each, in ms.
+fn pushed(frames: &[Frame], settings: &Settings) -> (Live, Vec<[f64; 2]>) {
+    let mut live = Live::new(settings).unwrap();
+    let times = frames.iter().map(|frame| {
+        let (wall, cpu) = (Instant::now(), ProcessTime::now());
+        live.push(frame).unwrap();
+        [wall.elapsed().as_secs_f64() * 1e3, cpu.elapsed().as_secs_f64() * 1e3]
+    });
+    let times = times.collect();
+    (live, times)
+}
+
+fn print(what: &str, times: &[[f64; 2]]) {
+    let column = |k: usize| percentiles(times.iter().map(|t| t[k]).collect());
+    println!("L1 {what}, {} frames", times.len());
+    println!("   wall {}", column(0));
+    println!("   CPU  {}", column(1));
+}
+
+/// Mean distance of the nodes from a surface, mm.
+fn apart(surface: &Surface, other: &Surface) -> f64 {
+    let closest = lumenmesh::evaluate::Locator::new(other).unwrap().closest_all(&surface.nodes_mm);
+    closest.iter().map(|c| c.distance_mm).sum::<f64>() / closest.len() as f64
+}
+
+fn recording(test: bool) {
+    let folder =
+        std::env::var_os("LUMENMESH_SHARED").map_or_else(|| PathBuf::from("../shared"), PathBuf::from);
+    let path = folder.join("recordings/adult_aorta_noisy.mat");
+    if !path.exists() {
+        println!("L1 not measured on adult_aorta_noisy: no {}", path.display());
+        return;
+    }
+    let mut recording = Recording::read(&path).unwrap();
+    if test {
+        recording.frames.truncate(200);
+    }
+    let cylinders = Settings::default();
+    let (live, times) = pushed(&recording.frames, &cylinders);
+    let batch =
+        Reconstruction::new(&recording, &cylinders, &*engine(&cylinders).unwrap(), false, &|_| ()).unwrap();
+    assert_eq!(live.surface().nodes_mm, batch.vessel.surface().nodes_mm, "live and batch are one");
+    print("adult_aorta_noisy, cylinders", &times);
+
+    let sweep = Settings { method: Method::Sweep, ..Settings::default() };
+    let (live, times) = pushed(&recording.frames, &sweep);
+    let apart = apart(&live.surface(), &Sweep::of(&recording, &sweep).unwrap().surface(true));
+    assert!(apart < 0.2, "live and batch are {apart} mm apart");
+    print("adult_aorta_noisy, sweep", &times);
+}
+
+fn rest(frames: usize) {
+    let duration_s = frames as f64 / 12.0;
+    let moves =
+        vec![Move::Advance { distance_mm: 30.0 }, Move::Bend { angle_deg: 20.0 }, Move::Rest { duration_s }];
+    let insertion = Insertion { moves, repeat: false, ..Insertion::default() };
+    let vessel = Phantom::from("cylinder".parse::<Shape>().unwrap()).vessel().unwrap();
+    let settings = simulate::Settings { insertion, ..simulate::Settings::default() };
+    let simulation = Simulation::run(vessel, &settings).unwrap();
+    for method in [Method::Cylinders, Method::Sweep] {
+        let settings = Settings { method, ..Settings::default() };
+        let (live, times) = pushed(&simulation.recording.frames, &settings);
+        let apart = apart(&live.surface(), simulation.vessel.surface());
+        assert!(apart < 1.5, "live and truth are {apart} mm apart");
+        let count = times.len();
+        print(&format!("rest, {method:?}, first half"), &times[..count / 2]);
+        print(&format!("rest, {method:?}, second half"), &times[count / 2..]);
+    }
+}
+
+fn main() {
+    let test = std::env::args().any(|a| a == "--test");
+    println!("{} threads", rayon::current_num_threads());
+    recording(test);
+    rest(if test { 200 } else { 20_000 });
+    if let Ok(load) = std::fs::read_to_string("/proc/loadavg") {
+        println!("load {}", load.trim());
+    }
+}

@@ -1,0 +1,172 @@
+use super::settings::SettingsArguments;
+use super::{print_json, progress};
+use crate::live::{Change, FRAME_INTERVAL_S, Live, Work};
+use crate::recording::Recording;
+use crate::settings::Settings;
+use crate::{Error, Result, surface};
+use serde::Serialize;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Play a recording frame by frame into a vessel that grows, and say how long each frame takes
+///
+/// What a program that shows the vessel during the intervention would do: every frame brings the mesh up to date.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  lumenmesh replay pullback.mat -o vessel.vtp
+  lumenmesh replay pullback.mat -o vessel.vtp --method sweep
+  lumenmesh replay pullback.mat -o vessel.vtp --method sweep --half-life 30 --real-time
+  lumenmesh replay pullback.mat -o vessel.vtp --json | jq .push_ms.p99")]
+pub(super) struct Arguments {
+    /// Recording: a MATLAB .mat file (v5, v7) or a folder of CSV files
+    #[arg(value_name = "REC")]
+    recording: PathBuf,
+    /// Mesh to write after the last frame: .vtp, .ply, .stl or .obj
+    #[arg(short, long, value_name = "MESH")]
+    output: PathBuf,
+    /// Wait for each frame's time, 12 frames a second where they have none
+    #[arg(long)]
+    real_time: bool,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    settings: SettingsArguments,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Summary<'a> {
+    recording: &'a PathBuf,
+    mesh: &'a PathBuf,
+    settings: &'a Settings,
+    frames: usize,
+    /// Frames that brought no change because they could not be used, and why.
+    refused: Vec<String>,
+    /// The first frame with a vessel.
+    first_frame: Option<usize>,
+    push_ms: Percentiles,
+    /// The most that one frame took.
+    most_work: Work,
+    /// Rings after each tenth of the frames.
+    rings: Vec<usize>,
+    nodes: usize,
+    triangles: usize,
+}
+
+#[derive(Serialize)]
+struct Percentiles {
+    p50: f64,
+    p95: f64,
+    p99: f64,
+    max: f64,
+}
+
+impl Percentiles {
+    /// By nearest rank.
+    fn of(mut values: Vec<f64>) -> Self {
+        values.sort_by(f64::total_cmp);
+        let rank = |share: f64| {
+            let rank = (share * values.len() as f64).ceil() as usize;
+            values.get(rank.max(1) - 1).copied().unwrap_or(0.0)
+        };
+        Self { p50: rank(0.5), p95: rank(0.95), p99: rank(0.99), max: rank(1.0) }
+    }
+}
+
+impl Arguments {
+    pub(super) fn run(self) -> Result<()> {
+        let settings = self.settings.settings()?;
+        surface::check_ending(&self.output)?;
+        let recording = Recording::read_unchecked(&self.recording)?;
+        let mut live = Live::new(&settings)?;
+        let frames = &recording.frames;
+        let (mut refused, mut times_ms, mut rings) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut first_frame, mut most_work) = (None, Work::default());
+        let bar = progress::bar("playing frames", frames.len());
+        let start = Instant::now();
+        let mut due_s = 0.0;
+        for (k, frame) in frames.iter().enumerate() {
+            if self.real_time {
+                std::thread::sleep(Duration::from_secs_f64(due_s).saturating_sub(start.elapsed()));
+                let next = frames.get(k + 1).and_then(|next| Some(next.time_s? - frame.time_s?));
+                due_s +=
+                    next.filter(|s| s.is_finite()).unwrap_or(FRAME_INTERVAL_S).clamp(0.0, LONGEST_WAIT_S);
+            }
+            let before = Instant::now();
+            let pushed = live.push(frame);
+            times_ms.push(before.elapsed().as_secs_f64() * 1e3);
+            match pushed {
+                Ok(Change { rings, work, .. }) => {
+                    first_frame = first_frame.or((rings > 0).then_some(k));
+                    most_work.echoes = most_work.echoes.max(work.echoes);
+                    most_work.rings = most_work.rings.max(work.rings);
+                }
+                Err(error @ Error::Frame { .. }) => refused.push(format!("frame {k} of the file: {error}")),
+                Err(error) => return Err(error),
+            }
+            if (k + 1) * 10 / frames.len() > k * 10 / frames.len() {
+                rings.push(live.rings());
+            }
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        let vessel = live.surface();
+        if vessel.triangles.is_empty() {
+            return Err(Error::input(
+                &self.recording,
+                "frames",
+                format!("{} that show no vessel", frames.len()),
+                "contours along a vessel",
+            ));
+        }
+        vessel.write(&self.output)?;
+        let summary = Summary {
+            recording: &self.recording,
+            mesh: &self.output,
+            settings: &settings,
+            frames: frames.len(),
+            refused,
+            first_frame,
+            push_ms: Percentiles::of(times_ms),
+            most_work,
+            rings,
+            nodes: vessel.nodes_mm.len(),
+            triangles: vessel.triangles.len(),
+        };
+        if self.json {
+            return print_json(&summary);
+        }
+        summary.print();
+        Ok(())
+    }
+}
+
+/// A gap in the recording's times need not be sat through, s.
+const LONGEST_WAIT_S: f64 = 5.0;
+
+impl Summary<'_> {
+    fn print(&self) {
+        let Percentiles { p50, p95, p99, max } = self.push_ms;
+        println!("frames     {}, {} refused", self.frames, self.refused.len());
+        for why in &self.refused {
+            println!("           {why}");
+        }
+        if let Some(frame) = self.first_frame {
+            println!(
+                "vessel     from frame {frame} on; {} nodes, {} triangles in the end",
+                self.nodes, self.triangles
+            );
+        }
+        let rings: Vec<String> = self.rings.iter().map(usize::to_string).collect();
+        println!("rings      {} after each tenth of the frames", rings.join(", "));
+        println!(
+            "a frame    {p50:.2} ms in the median, 95 % {p95:.2}, 99 % {p99:.2}, the longest {max:.2} ms"
+        );
+        println!(
+            "at most    {} echoes looked at and {} rings computed for a frame",
+            self.most_work.echoes, self.most_work.rings
+        );
+        println!("mesh       {}", self.mesh.display());
+    }
+}

@@ -1,0 +1,286 @@
+//! The curve of the axis while it grows.
+
+use super::super::banded::Pentadiagonal;
+use super::super::centreline::{NODES_PER_RADIUS, SMOOTHNESS, resampled};
+use glam::DVec3;
+use std::ops::Range;
+
+/// The curve goes on straight for so many nodes beyond the centres: echoes of tilted frames lie there.
+const BEYOND: usize = 6;
+/// Nodes farther than this from both ends of the centres stay where they are.
+const SETTLED: usize = 4;
+/// Centres farther than this from the curve, in lumen radii, show that its end has gone astray; so many of its settled
+/// nodes are then drawn anew at most.
+const ASTRAY_RADII: f64 = 0.5;
+const MOST_TAKEN_BACK: usize = 8;
+/// Centres farther than this from the curve, in lumen radii, are not of this vessel, or not yet.
+const STRAY_RADII: f64 = 2.0;
+/// The curve is not drawn anew for less, in lumen radii.
+const TOLERANCE_RADII: f64 = 0.01;
+/// So many times as stiff as the rest: nodes that stay where they are.
+const HELD: f64 = 1e6;
+
+/// A smooth curve through the centres of contours, a node every R/4, that grows at both ends and settles behind them.
+#[derive(Debug, Clone)]
+pub(super) struct Curve {
+    radius_mm: f64,
+    pub nodes_mm: Vec<DVec3>,
+    /// Centres about the ends, gathered by the first of them that is within a spacing: their sums and numbers.
+    clusters: Vec<(DVec3, f64)>,
+    /// Nodes that do not move any more.
+    settled: Option<Range<usize>>,
+}
+
+/// What a centre did to the curve.
+#[derive(Debug, PartialEq)]
+pub(super) enum Growth {
+    /// It lies too far away.
+    Stray,
+    /// Nothing moved.
+    None,
+    /// `before` nodes came in front of the others; then the nodes `moved` have other places or are new.
+    Moved { before: usize, moved: Range<usize> },
+}
+
+impl Curve {
+    /// A curve along points that centres have been found to follow for the lumen's radius at least.
+    pub fn along(points_mm: &[DVec3], centres_mm: &[DVec3], radius_mm: f64) -> Self {
+        let nodes_mm = resampled(points_mm, radius_mm / NODES_PER_RADIUS);
+        let mut curve = Self { radius_mm, nodes_mm, clusters: Vec::new(), settled: None };
+        curve.prolong_front(BEYOND);
+        curve.prolong_back(BEYOND);
+        centres_mm.iter().for_each(|&centre| curve.gather(centre));
+        curve.nodes_mm = curve.drawn(0..curve.nodes_mm.len());
+        curve.settle();
+        curve
+    }
+
+    fn gather(&mut self, centre_mm: DVec3) {
+        let distance = |(sum, count): &(DVec3, f64)| centre_mm.distance(*sum / *count);
+        let nearest = self.clusters.iter_mut().min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        match nearest.filter(|cluster| distance(cluster) < self.radius_mm / NODES_PER_RADIUS) {
+            Some(cluster) => *cluster = (cluster.0 + centre_mm, cluster.1 + 1.0),
+            None => self.clusters.push((centre_mm, 1.0)),
+        }
+    }
+
+    /// Distance of two nodes, mm.
+    pub fn spacing_mm(&self) -> f64 {
+        self.radius_mm / NODES_PER_RADIUS
+    }
+
+    /// Length between the first node and the last, mm.
+    pub fn length_mm(&self) -> f64 {
+        (self.nodes_mm.len() - 1) as f64 * self.spacing_mm()
+    }
+
+    /// Takes a centre and draws the curve's ends anew where that moves them.
+    pub fn push(&mut self, centre_mm: DVec3) -> Growth {
+        let all = 0..self.nodes_mm.len();
+        let place = self.station(centre_mm, all.clone());
+        let on_curve = (0.0..=(all.end - 1) as f64).contains(&place);
+        if !on_curve || self.at_line(place).distance(centre_mm) > STRAY_RADII * self.radius_mm {
+            return Growth::Stray;
+        }
+        let mut node = place.round() as usize;
+        let astray = self.nodes_mm[node].distance(centre_mm) > ASTRAY_RADII * self.radius_mm;
+        if let Some(settled) = self.settled.as_mut().filter(|_| astray) {
+            // An end that turns out to have gone astray is taken back.
+            if node >= settled.end.saturating_sub(MOST_TAKEN_BACK) {
+                settled.end = settled.end.min(node.saturating_sub(SETTLED)).max(settled.start + 2);
+            } else if node < settled.start + MOST_TAKEN_BACK {
+                settled.start = settled.start.max(node + SETTLED).min(settled.end - 2);
+            }
+        }
+        if self.settled.as_ref().is_some_and(|settled| settled.contains(&node)) {
+            return Growth::None;
+        }
+        self.gather(centre_mm);
+        let at_front = self.settled.as_ref().is_some_and(|settled| node < settled.start);
+        let old = self.nodes_mm.clone();
+        let more = BEYOND.saturating_sub(node);
+        self.prolong_front(more);
+        node += more;
+        self.prolong_back((node + BEYOND + 1).saturating_sub(self.nodes_mm.len()));
+
+        let free = match &self.settled {
+            None => 0..self.nodes_mm.len(),
+            Some(settled) if at_front => 0..settled.start,
+            Some(settled) => settled.end..self.nodes_mm.len(),
+        };
+        let drawn = self.drawn(free.clone());
+        self.nodes_mm[free.clone()].copy_from_slice(&drawn);
+        if self.nodes_mm.len() == old.len() {
+            let travel = old.iter().zip(&self.nodes_mm).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+            if travel <= TOLERANCE_RADII * self.radius_mm {
+                self.nodes_mm = old;
+                return Growth::None;
+            }
+        }
+        self.settle();
+        Growth::Moved { before: more, moved: free }
+    }
+
+    fn prolong_back(&mut self, count: usize) {
+        for _ in 0..count {
+            let next = beyond(self.nodes_mm.iter().rev());
+            self.nodes_mm.push(next);
+        }
+    }
+
+    fn prolong_front(&mut self, count: usize) {
+        for _ in 0..count {
+            let next = beyond(self.nodes_mm.iter());
+            self.nodes_mm.insert(0, next);
+        }
+        if let Some(settled) = &mut self.settled {
+            *settled = settled.start + count..settled.end + count;
+        }
+    }
+
+    /// Lets the nodes settle that lie well within the centres, and forgets the centres about them.
+    fn settle(&mut self) {
+        let all = 0..self.nodes_mm.len();
+        let place = |(sum, count): &(DVec3, f64)| self.station(*sum / *count, all.clone());
+        let places: Vec<f64> = self.clusters.iter().map(place).collect();
+        let settled = (BEYOND + SETTLED)..(all.end - BEYOND).saturating_sub(SETTLED);
+        self.settled = match self.settled.take() {
+            Some(before) => Some(before.start.min(settled.start)..before.end.max(settled.end)),
+            None => (settled.start + 2 <= settled.end).then_some(settled),
+        };
+        if let Some(settled) = &self.settled {
+            // The next ones are needed where an end is taken back.
+            let (low, high) = (settled.start + MOST_TAKEN_BACK, settled.end.saturating_sub(MOST_TAKEN_BACK));
+            let mut places = places.into_iter();
+            self.clusters.retain(|_| places.next().is_none_or(|p| p < low as f64 || p > high as f64));
+        }
+    }
+
+    /// Places of the nodes `free` with all others held: the minimum of `Σ|pᵢ - c(sᵢ)|² + λ Σ|Δ²c|²` over the mean
+    /// centres pᵢ, then moved along the curve to even distances.
+    fn drawn(&self, free: Range<usize>) -> Vec<DVec3> {
+        let window = free.start.saturating_sub(2)..(free.end + 2).min(self.nodes_mm.len());
+        let mut equations = Pentadiagonal::second_differences(window.len(), SMOOTHNESS);
+        let mut right = vec![DVec3::ZERO; window.len()];
+        let (low, high) = (window.start as f64, (window.end - 1) as f64);
+        let places: Vec<(usize, f64, DVec3)> = self
+            .clusters
+            .iter()
+            .map(|(sum, count)| (*sum / *count, self.station(*sum / *count, 0..self.nodes_mm.len())))
+            .filter(|(_, place)| (low..=high).contains(place))
+            .map(|(mean, place)| {
+                let row = ((place - low) as usize).min(window.len() - 2);
+                (row, place - low - row as f64, mean)
+            })
+            .collect();
+        let nearest = |&(row, share, _): &(usize, f64, DVec3)| row + usize::from(share >= 0.5);
+        let mut here = vec![0.0; window.len()];
+        places.iter().for_each(|place| here[nearest(place)] += 1.0);
+        for place in &places {
+            let (row, share, mean) = *place;
+            let weight = 1.0 / here[nearest(place)];
+            equations.add_pair(row, weight, [1.0 - share, share]);
+            right[row] += mean * (weight * (1.0 - share));
+            right[row + 1] += mean * (weight * share);
+        }
+        for node in window.clone().filter(|node| !free.contains(node)) {
+            equations.add_diagonal(node - window.start, HELD * SMOOTHNESS);
+            right[node - window.start] += self.nodes_mm[node] * (HELD * SMOOTHNESS);
+        }
+        let Some(factored) = equations.factored() else { return self.nodes_mm[free].to_vec() };
+        let drawn = factored.solve(right);
+        // From a node that is held, where there is one.
+        if free.end < window.end {
+            let back: Vec<DVec3> = drawn[..=free.end - window.start].iter().rev().copied().collect();
+            let mut even = evenly(&back, self.spacing_mm(), free.len());
+            even.reverse();
+            even
+        } else if free.start > window.start {
+            evenly(&drawn[free.start - 1 - window.start..], self.spacing_mm(), free.len())
+        } else {
+            // From the first centre, so that the curve goes on before it as far as behind the last.
+            let first = places.iter().map(|(row, share, _)| *row as f64 + share).fold(high, f64::min);
+            let row = (first as usize).min(drawn.len() - 2);
+            let anchor = drawn[row].lerp(drawn[row + 1], first - row as f64);
+            let front: Vec<DVec3> =
+                std::iter::once(anchor).chain(drawn[..=row].iter().rev().copied()).collect();
+            let back: Vec<DVec3> = std::iter::once(anchor).chain(drawn[row + 1..].iter().copied()).collect();
+            let mut even = evenly(&front, self.spacing_mm(), BEYOND);
+            even.reverse();
+            even.push(anchor);
+            even.extend(evenly(&back, self.spacing_mm(), free.len() - BEYOND - 1));
+            even
+        }
+    }
+
+    /// Where along some of the nodes, counted in nodes, a point is nearest; their end segments are prolonged.
+    fn station(&self, point: DVec3, nodes: Range<usize>) -> f64 {
+        let last = nodes.end - 2;
+        let (mut best, mut station) = (f64::INFINITY, nodes.start as f64);
+        for k in nodes.start..nodes.end - 1 {
+            let (a, along) = (self.nodes_mm[k], self.nodes_mm[k + 1] - self.nodes_mm[k]);
+            let low = if k == nodes.start { f64::NEG_INFINITY } else { 0.0 };
+            let high = if k == last { f64::INFINITY } else { 1.0 };
+            let share =
+                ((point - a).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(low, high);
+            let distance = point.distance_squared(a + along * share);
+            if distance < best {
+                best = distance;
+                station = k as f64 + share;
+            }
+        }
+        station
+    }
+
+    fn at_line(&self, place: f64) -> DVec3 {
+        let node = (place.max(0.0) as usize).min(self.nodes_mm.len() - 2);
+        self.nodes_mm[node].lerp(self.nodes_mm[node + 1], place - node as f64)
+    }
+
+    /// Point and unit tangent of the uniform cubic B-spline over the nodes, `place` counted in nodes. It is
+    /// smooth and a node moves it no farther than two nodes away.
+    pub fn at(&self, place: f64) -> (DVec3, DVec3) {
+        let last = self.nodes_mm.len() - 1;
+        let k = (place.max(0.0) as usize).min(last - 1);
+        let t = place - k as f64;
+        let (q, r) = (self.nodes_mm[k], self.nodes_mm[k + 1]);
+        let p = if k == 0 { q * 2.0 - r } else { self.nodes_mm[k - 1] };
+        let s = if k + 1 == last { r * 2.0 - q } else { self.nodes_mm[k + 2] };
+        let (t2, t3) = (t * t, t * t * t);
+        let point = (p * (1.0 - t).powi(3)
+            + q * (3.0 * t3 - 6.0 * t2 + 4.0)
+            + r * (-3.0 * t3 + 3.0 * t2 + 3.0 * t + 1.0)
+            + s * t3)
+            / 6.0;
+        let slope = p * (-0.5 * (1.0 - t).powi(2))
+            + q * (1.5 * t2 - 2.0 * t)
+            + r * (-1.5 * t2 + t + 0.5)
+            + s * (0.5 * t2);
+        (point, slope.normalize_or(DVec3::Z))
+    }
+}
+
+/// The point as far beyond the first of two as the second lies behind it.
+fn beyond<'a>(mut points: impl Iterator<Item = &'a DVec3>) -> DVec3 {
+    match (points.next(), points.next()) {
+        (Some(&end), Some(&inner)) => end * 2.0 - inner,
+        _ => DVec3::ZERO,
+    }
+}
+
+/// `count` points along a polyline at equal distances from its first point, which is not among them; straight on beyond
+/// its end.
+fn evenly(line: &[DVec3], spacing: f64, count: usize) -> Vec<DVec3> {
+    let mut points = Vec::with_capacity(count);
+    let (mut segment, mut passed) = (0, 0.0);
+    for i in 1..=count {
+        let goal = spacing * i as f64;
+        while segment + 2 < line.len() && passed + line[segment].distance(line[segment + 1]) <= goal {
+            passed += line[segment].distance(line[segment + 1]);
+            segment += 1;
+        }
+        let along = (line[segment + 1] - line[segment]).normalize_or_zero();
+        points.push(line[segment] + along * (goal - passed));
+    }
+    points
+}

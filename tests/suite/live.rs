@@ -1,0 +1,242 @@
+//! A vessel that grows frame by frame must come to what the whole recording gives, in bounded steps.
+
+use crate::support;
+use glam::{DVec2, DVec3};
+use lumenmesh::evaluate::{Locator, Truth, evaluate};
+use lumenmesh::fit::engine;
+use lumenmesh::live::{Live, Work};
+use lumenmesh::reconstruction::Reconstruction;
+use lumenmesh::recording::{Frame, Recording};
+use lumenmesh::settings::{Method, Settings, Sweep as SweepSettings};
+use lumenmesh::simulate::{self, Insertion, Move, Phantom, Shape, Simulation};
+use lumenmesh::surface::Surface;
+use lumenmesh::sweep::Sweep;
+
+fn sweep() -> Settings {
+    Settings { method: Method::Sweep, ..Settings::default() }
+}
+
+fn simulated(shape: &str, insertion: Insertion, seed: u64) -> Simulation {
+    let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
+    let noise = simulate::Noise { seed, ..Default::default() };
+    Simulation::run(vessel, &simulate::Settings { insertion, noise, ..Default::default() }).unwrap()
+}
+
+fn pushed(frames: &[Frame], settings: &Settings) -> Live {
+    let mut live = Live::new(settings).unwrap();
+    frames.iter().for_each(|frame| assert!(live.push(frame).is_ok()));
+    live
+}
+
+/// Bytes, so that NaN equals itself.
+fn bytes(surface: &Surface) -> Vec<u64> {
+    let nodes = surface.nodes_mm.iter().flat_map(|p| p.to_array());
+    let arrays = surface.arrays.iter().flat_map(|a| a.values.iter().copied());
+    let triangles = surface.triangles.iter().flatten().map(|&n| u64::from(n));
+    nodes.chain(arrays).map(f64::to_bits).chain(triangles).collect()
+}
+
+/// Mean distance of a surface's nodes from a wall, but for those beyond its ends, mm.
+fn error_mm(surface: &Surface, wall: &Surface) -> f64 {
+    let closest = Locator::new(wall).unwrap().closest_all(&surface.nodes_mm);
+    let inside: Vec<f64> = closest.iter().filter(|c| !c.on_rim).map(|c| c.distance_mm).collect();
+    inside.iter().sum::<f64>() / inside.len() as f64
+}
+
+/// Share of a recording's wall points within 1 mm of a surface.
+fn coverage(surface: &Surface, truth: &Recording) -> f64 {
+    let to_world = |f: &Frame, p: DVec2| f.world_from_sensor.transform_point(p.extend(0.0));
+    let points: Vec<DVec3> =
+        truth.frames.iter().flat_map(|f| f.echoes_mm().map(|p| to_world(f, p))).collect();
+    let closest = Locator::new(surface).unwrap().closest_all(&points);
+    closest.iter().filter(|c| c.distance_mm < 1.0).count() as f64 / points.len() as f64
+}
+
+fn to_and_fro() -> Insertion {
+    let advance = |distance_mm| Move::Advance { distance_mm };
+    Insertion {
+        moves: vec![
+            advance(30.0),
+            Move::Bend { angle_deg: 25.0 },
+            Move::Turn { angle_deg: 360.0 },
+            Move::Bend { angle_deg: 0.0 },
+            Move::Withdraw { distance_mm: 15.0 },
+            advance(60.0),
+            Move::Withdraw { distance_mm: 40.0 },
+        ],
+        repeat: false,
+        ..Insertion::default()
+    }
+}
+
+#[test]
+fn live_cylinders_are_those_of_the_batch_to_the_last_bit() {
+    let settings = Settings::default();
+    let mut recordings = vec![simulated("arch", Insertion::steady(), 4).recording];
+    if let Some(noisy) = support::shared("recordings/adult_aorta_noisy.mat") {
+        recordings.push(Recording::read(&noisy).unwrap());
+    }
+    for recording in recordings {
+        let engine = engine(&settings).unwrap();
+        let batch = Reconstruction::new(&recording, &settings, &*engine, false, &|_| ()).unwrap();
+        let live = pushed(&recording.frames, &settings);
+        assert_eq!(bytes(&live.surface()), bytes(&batch.vessel.surface()));
+        let other = pushed(&recording.frames[..recording.frames.len() - 20], &settings);
+        assert_ne!(
+            bytes(&other.surface()),
+            bytes(&batch.vessel.surface()),
+            "the comparison sees differences"
+        );
+    }
+}
+
+/// Every method: what changes say is what changes.
+#[test]
+fn a_host_that_follows_the_changes_has_the_whole_vessel() {
+    let recording = simulated("arch", to_and_fro(), 2).recording;
+    for settings in [Settings::default(), sweep()] {
+        let mut live = Live::new(&settings).unwrap();
+        let mut rings: Vec<Vec<DVec3>> = Vec::new();
+        let of = |part: &Surface, nodes: usize| -> Vec<Vec<DVec3>> {
+            part.nodes_mm.chunks_exact(nodes).map(<[DVec3]>::to_vec).collect()
+        };
+        for frame in &recording.frames {
+            let change = live.push(frame).unwrap();
+            rings.splice(0..0, vec![Vec::new(); change.before]);
+            rings.resize(change.rings, Vec::new());
+            for range in change.changed {
+                let part = live.part(range.clone());
+                rings.splice(range, of(&part, live.nodes()));
+            }
+        }
+        let whole = of(&live.part(0..live.rings()), live.nodes());
+        assert_eq!(rings.len(), whole.len());
+        // The correction for the noise along the wall is the whole recording's: it goes on changing by a hair.
+        let apart = |a: &Vec<DVec3>, b: &Vec<DVec3>| {
+            assert_eq!(a.len(), b.len());
+            a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
+        };
+        let farthest = rings.iter().zip(&whole).map(|(a, b)| apart(a, b)).fold(0.0, f64::max);
+        assert!(farthest < 0.1, "{farthest}");
+    }
+}
+
+#[test]
+fn a_live_sweep_comes_near_to_the_batch() {
+    for (shape, insertion, seed) in [
+        ("arch", to_and_fro(), 1),
+        ("aneurysm", Insertion::steady(), 2),
+        ("cylinder", Insertion::default(), 3),
+    ] {
+        let simulation = simulated(shape, insertion, seed);
+        let frames = &simulation.recording.frames;
+        let wall = simulation.vessel.surface();
+        let batch = Sweep::of(&simulation.recording, &sweep()).unwrap().surface(false);
+        let live = pushed(frames, &sweep()).surface();
+        live.check().unwrap();
+        let (live_mm, batch_mm) = (error_mm(&live, wall), error_mm(&batch, wall));
+        // The axis grew without knowledge of what came later, and old echoes were merged.
+        assert!(live_mm < 1.6 * batch_mm, "{shape}: {live_mm} against {batch_mm}");
+        let covered = coverage(&live, &simulation.truth_recording);
+        assert!(covered > 0.97, "{shape}: {covered}");
+    }
+}
+
+#[test]
+fn the_published_recordings_meet_their_gates_live() {
+    let Some(clean) = support::shared("recordings/adult_aorta_clean.mat") else { return };
+    let Some(noisy) = support::shared("recordings/adult_aorta_noisy.mat") else { return };
+    let Some(truth) = support::shared("data/aorta_adult_full_steve.stl") else { return };
+    let truth = Truth::new(Surface::read(&truth).unwrap()).unwrap();
+    let clean = Recording::read(&clean).unwrap();
+    for (recording, gate_mm) in [(clean.clone(), 0.015), (Recording::read(&noisy).unwrap(), 0.11)] {
+        let surface = pushed(&recording.frames, &sweep()).surface();
+        let mean = evaluate(&surface, &truth).unwrap().mesh_to_truth.mean_mm;
+        assert!(mean <= gate_mm, "{mean} mm");
+        let covered = coverage(&surface, &clean);
+        assert!(covered >= 0.98, "{covered}");
+    }
+}
+
+#[test]
+fn a_catheter_at_rest_costs_no_more_as_time_goes_by() {
+    let moves = vec![
+        Move::Advance { distance_mm: 30.0 },
+        Move::Bend { angle_deg: 20.0 },
+        Move::Rest { duration_s: 300.0 },
+    ];
+    let recording =
+        simulated("cylinder", Insertion { moves, repeat: false, ..Insertion::default() }, 5).recording;
+    for settings in [Settings::default(), sweep()] {
+        let mut live = Live::new(&settings).unwrap();
+        let work: Vec<Work> = recording.frames.iter().map(|frame| live.push(frame).unwrap().work).collect();
+        let most = |frames: std::ops::Range<usize>| work[frames].iter().map(|w| w.echoes).max().unwrap();
+        let count = work.len();
+        let (early, late) = (most(count - 3000..count - 2000), most(count - 1000..count));
+        assert!(late <= early + early / 10, "{early} {late}");
+        assert!(work.iter().all(|w| w.rings <= 200), "{:?}", work.iter().map(|w| w.rings).max());
+    }
+}
+
+#[test]
+fn a_refused_frame_leaves_everything_as_it_was() {
+    let recording = simulated("cylinder", Insertion::steady(), 6).recording;
+    for settings in [Settings::default(), sweep()] {
+        let (mut live, plain) = (Live::new(&settings).unwrap(), pushed(&recording.frames, &settings));
+        for (k, frame) in recording.frames.iter().enumerate() {
+            if k % 50 == 20 {
+                let mut bad = frame.clone();
+                bad.world_from_sensor.translation_mm.x = f64::NAN;
+                let message = live.push(&bad).unwrap_err().to_string();
+                assert!(message.starts_with(&format!("frame {k}: position: found")), "{message}");
+                let mut bad = frame.clone();
+                bad.contour_mm[3] = DVec2::new(f64::NAN, 1.0);
+                assert!(live.push(&bad).is_err());
+            }
+            live.push(frame).unwrap();
+        }
+        assert_eq!(bytes(&live.surface()), bytes(&plain.surface()));
+        assert_eq!(live.frames(), recording.frames.len());
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let recording = simulated("arch", Insertion::steady(), 8).recording;
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| bytes(&pushed(&recording.frames, &sweep()).surface()))
+    };
+    assert_eq!(with(1), with(4));
+}
+
+#[test]
+fn with_a_half_life_the_wall_follows_the_newer_pass() {
+    // Forth, back and forth again, the last pass with the vessel moved by 1.5 mm.
+    let first = simulated("cylinder", Insertion::steady(), 9);
+    let second = simulated("cylinder", Insertion::steady(), 10);
+    let count = first.recording.frames.len();
+    let shift = DVec3::new(1.5, 0.0, 0.0);
+    let mut recording = first.recording.clone();
+    let duration_s = count as f64 / 12.0;
+    recording.frames.extend(second.recording.frames.into_iter().map(|mut frame| {
+        frame.world_from_sensor.translation_mm += shift;
+        frame.time_s = frame.time_s.map(|t| t + duration_s);
+        frame
+    }));
+    let mut moved = second.vessel.surface().clone();
+    moved.nodes_mm.iter_mut().for_each(|p| *p += shift);
+    let with = |half_life_s| {
+        let sweep = SweepSettings { half_life_s, ..SweepSettings::default() };
+        Settings { method: Method::Sweep, sweep, ..Settings::default() }
+    };
+    let remember = with(None);
+    let forget = with(Some(duration_s / 8.0));
+    let batch =
+        |settings: &Settings| error_mm(&Sweep::of(&recording, settings).unwrap().surface(false), &moved);
+    let live = |settings: &Settings| error_mm(&pushed(&recording.frames, settings).surface(), &moved);
+    for of in [&batch as &dyn Fn(&Settings) -> f64, &live] {
+        let (all, newer) = (of(&remember), of(&forget));
+        assert!(all > 0.3 && newer < 0.15, "{all} {newer}");
+    }
+}
