@@ -72,6 +72,15 @@ impl Ring {
         (tube.moved(s), s)
     }
 
+    /// Whether a tube's axis can be that of the ring: it leans no more than 60° from the probe, passes within the tube's
+    /// radius of the centroid, and the radii differ by no more than a factor of two.
+    pub fn is_about(&self, tube: &LocalTube) -> bool {
+        let (origin, axis) = (tube.world_from_axis.translation_mm, tube.world_from_axis.rotation.z_axis);
+        axis.dot(self.world_from_probe.rotation.z_axis).abs() >= 0.5
+            && (self.centre_mm - origin).reject_from(axis).length() <= tube.radius_mm
+            && (0.5..=2.0).contains(&(tube.radius_mm / self.radius_mm))
+    }
+
     /// Whether half of the points or more lie on a tube, to a quarter of its radius.
     pub fn is_on(&self, tube: &LocalTube) -> bool {
         let to_axis = tube.world_from_axis.inverse();
@@ -156,8 +165,8 @@ impl<F: TubeFit> Follower<F> {
                 Some((fit, count)) if ring.is_on(&ring.beside(fit.tube()).0) => (fit, count + 1),
                 _ => (F::start(&ring), 1),
             };
-            add(&mut stray, ring);
-            let model = self.model(frame, &stray);
+            add(&mut stray, ring.clone());
+            let model = self.model(frame, &stray, &ring);
             if count < STRAYS {
                 (self.known, self.stray) = (Some(known), Some((stray, count)));
             } else {
@@ -167,22 +176,29 @@ impl<F: TubeFit> Follower<F> {
         }
         self.stray = None;
         let mut fit = self.known.take().unwrap_or_else(|| F::start(&ring));
-        add(&mut fit, ring);
-        let model = self.model(frame, &fit);
+        add(&mut fit, ring.clone());
+        let model = self.model(frame, &fit, &ring);
         self.known = Some(fit);
         model
     }
 
-    /// The tube beside the probe as a cylinder in `{e}`; `None` where its axis runs along the plane z = 0, or its
-    /// radius is none.
-    fn model(&self, frame: &Frame, fit: &F) -> Option<CylinderModel> {
-        let tube = fit.tube();
+    /// The tube beside the probe as a cylinder in `{e}`. Where it cannot be about the ring, the tube stands in that the
+    /// ring alone says: a cylinder that leans too far has none of the frame's points between its ends.
+    fn model(&self, frame: &Frame, fit: &F, ring: &Ring) -> Option<CylinderModel> {
+        let about = Some(fit.tube()).filter(|tube| ring.is_about(tube));
+        about
+            .and_then(|tube| self.written(frame, tube, fit.tangential_mm2()))
+            .or_else(|| self.written(frame, &ring.tube(), ring.tangential_mm2))
+    }
+
+    /// A tube as a cylinder in `{e}`; `None` where its axis runs along the plane z = 0, or its radius is none.
+    fn written(&self, frame: &Frame, tube: &LocalTube, tangential_mm2: f64) -> Option<CylinderModel> {
         let sensor_from_axis = frame.world_from_sensor.inverse() * tube.world_from_axis;
         let (middle, axis) = (sensor_from_axis.translation_mm, sensor_from_axis.rotation.z_axis);
         let along_probe = axis.dot(self.sensor_from_probe.rotation.z_axis) >= 0.0;
         let axis = if along_probe { axis } else { -axis };
         let foot = middle - axis * (middle.z / axis.z);
-        let radius_mm = tube.radius_mm - fit.tangential_mm2() / (2.0 * tube.radius_mm);
+        let radius_mm = tube.radius_mm - tangential_mm2 / (2.0 * tube.radius_mm);
         let model = CylinderModel::from_axis(foot.x, foot.y, axis, radius_mm);
         (axis.z.abs() > 1e-3 && model.is_finite() && (0.0 < radius_mm && radius_mm <= MOST_RADIUS_MM))
             .then_some(model)

@@ -12,6 +12,10 @@ use lumenmesh::simulate::{self, Insertion, Move, Phantom, Shape, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
 
+fn cylinders() -> Settings {
+    Settings { method: Method::Cylinders, ..Settings::default() }
+}
+
 fn sweep() -> Settings {
     Settings { method: Method::Sweep, ..Settings::default() }
 }
@@ -71,7 +75,7 @@ fn to_and_fro() -> Insertion {
 
 #[test]
 fn live_cylinders_are_those_of_the_batch_to_the_last_bit() {
-    let settings = Settings::default();
+    let settings = cylinders();
     let mut recordings = vec![simulated("arch", Insertion::steady(), 4).recording];
     if let Some(noisy) = support::shared("recordings/adult_aorta_noisy.mat") {
         recordings.push(Recording::read(&noisy).unwrap());
@@ -94,7 +98,7 @@ fn live_cylinders_are_those_of_the_batch_to_the_last_bit() {
 #[test]
 fn a_host_that_follows_the_changes_has_the_whole_vessel() {
     let recording = simulated("arch", to_and_fro(), 2).recording;
-    for settings in [Settings::default(), sweep()] {
+    for settings in [cylinders(), sweep()] {
         let mut live = Live::new(&settings).unwrap();
         let mut rings: Vec<Vec<DVec3>> = Vec::new();
         let of = |part: &Surface, nodes: usize| -> Vec<Vec<DVec3>> {
@@ -167,7 +171,7 @@ fn a_catheter_at_rest_costs_no_more_as_time_goes_by() {
     ];
     let recording =
         simulated("cylinder", Insertion { moves, repeat: false, ..Insertion::default() }, 5).recording;
-    for settings in [Settings::default(), sweep()] {
+    for settings in [cylinders(), sweep()] {
         let mut live = Live::new(&settings).unwrap();
         let work: Vec<Work> = recording.frames.iter().map(|frame| live.push(frame).unwrap().work).collect();
         let most = |frames: std::ops::Range<usize>| work[frames].iter().map(|w| w.echoes).max().unwrap();
@@ -181,7 +185,7 @@ fn a_catheter_at_rest_costs_no_more_as_time_goes_by() {
 #[test]
 fn a_refused_frame_leaves_everything_as_it_was() {
     let recording = simulated("cylinder", Insertion::steady(), 6).recording;
-    for settings in [Settings::default(), sweep()] {
+    for settings in [cylinders(), sweep()] {
         let (mut live, plain) = (Live::new(&settings).unwrap(), pushed(&recording.frames, &settings));
         for (k, frame) in recording.frames.iter().enumerate() {
             if k % 50 == 20 {
