@@ -15,7 +15,7 @@ pub enum Method {
     /// One smooth tube swept along the estimated centreline, fitted to all echoes at once.
     #[default]
     Sweep,
-    /// The published method: local cylinders, stitched.
+    /// The published method: local cylinders, stitched (or blended).
     Cylinders,
 }
 
