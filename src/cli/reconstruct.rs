@@ -130,15 +130,16 @@ fn print_sweep(report: &sweep::Report) {
     if let Some(tracker) = &report.tracker {
         print_tracker(tracker);
     }
-    println!(
-        "time       {:.1} ms axis, {:.1} ms placing echoes, {:.1} ms fitting, {:.1} ms correcting poses, {:.1} ms \
-         weighing support",
+    print!(
+        "time       {:.1} ms axis, {:.1} ms placing echoes, {:.1} ms fitting, ",
         seconds.axis * 1e3,
         seconds.place * 1e3,
-        seconds.fit * 1e3,
-        seconds.tracker * 1e3,
-        seconds.support * 1e3
+        seconds.fit * 1e3
     );
+    if report.tracker.is_some() {
+        print!("{:.1} ms correcting poses, ", seconds.tracker * 1e3);
+    }
+    println!("{:.1} ms weighing support", seconds.support * 1e3);
 }
 
 /// What the tracker got wrong.
