@@ -43,6 +43,8 @@ struct Summary<'a> {
     frames: usize,
     /// Frames that brought no change because they could not be used, and why.
     refused: Vec<String>,
+    /// Frames too far from the vessel's axis to have a part in it.
+    off_axis: usize,
     /// The first frame with a vessel.
     first_frame: Option<usize>,
     push_ms: Percentiles,
@@ -82,7 +84,7 @@ impl Arguments {
         let mut live = Live::new(&settings)?;
         let frames = &recording.frames;
         let (mut refused, mut times_ms, mut rings) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut first_frame, mut most_work) = (None, Work::default());
+        let (mut first_frame, mut most_work, mut off_axis) = (None, Work::default(), 0);
         let bar = progress::bar("playing frames", frames.len());
         let start = Instant::now();
         let mut due_s = 0.0;
@@ -97,7 +99,8 @@ impl Arguments {
             let pushed = live.push(frame);
             times_ms.push(before.elapsed().as_secs_f64() * 1e3);
             match pushed {
-                Ok(Change { rings, work, .. }) => {
+                Ok(Change { rings, off_axis: is_off, work, .. }) => {
+                    off_axis += usize::from(is_off);
                     first_frame = first_frame.or((rings > 0).then_some(k));
                     most_work.echoes = most_work.echoes.max(work.echoes);
                     most_work.rings = most_work.rings.max(work.rings);
@@ -127,6 +130,7 @@ impl Arguments {
             settings: &settings,
             frames: frames.len(),
             refused,
+            off_axis,
             first_frame,
             push_ms: Percentiles::of(times_ms),
             most_work,
@@ -148,7 +152,12 @@ const LONGEST_WAIT_S: f64 = 5.0;
 impl Summary<'_> {
     fn print(&self) {
         let Percentiles { p50, p95, p99, max } = self.push_ms;
-        println!("frames     {}, {} refused", self.frames, self.refused.len());
+        println!(
+            "frames     {}, {} refused, {} too far from the axis",
+            self.frames,
+            self.refused.len(),
+            self.off_axis
+        );
         for why in &self.refused {
             println!("           {why}");
         }

@@ -64,6 +64,9 @@ pub struct Change {
     pub changed: Vec<Range<usize>>,
     /// Rings of the vessel now. Fewer than before, less the new ones: the last were dropped.
     pub rings: usize,
+    /// Whether the frame lies too far from a swept vessel's axis. Its echoes wait until the axis reaches them; many such
+    /// frames mean another branch, or a vessel that was lost.
+    pub off_axis: bool,
     /// What it took.
     pub work: Work,
 }
@@ -106,17 +109,18 @@ impl Live {
         frame.check(self.frames)?;
         let number = self.frames;
         self.frames += 1;
-        let (before, changed, work) = match &mut self.way {
+        let (before, changed, off_axis, work) = match &mut self.way {
             Way::Cylinders(cylinders) => {
                 let (changed, work) = cylinders.push(frame)?;
-                (0, changed, work)
+                (0, changed, false, work)
             }
             Way::Sweep(sweep) => {
                 let step = sweep.push(frame)?;
-                (step.before, step.changed, Work { echoes: step.echoes, rings: step.rings })
+                let work = Work { echoes: step.echoes, rings: step.rings };
+                (step.before, step.changed, step.off_axis, work)
             }
         };
-        Ok(Change { frame: number, before, changed, rings: self.rings(), work })
+        Ok(Change { frame: number, before, changed, rings: self.rings(), off_axis, work })
     }
 
     /// Frames taken.

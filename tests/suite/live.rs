@@ -146,6 +146,20 @@ fn a_live_sweep_comes_near_to_the_batch() {
     }
 }
 
+/// Nothing is seen for a while, in a bend: after a short gap the axis still reaches the catheter, after a long one not.
+#[test]
+fn frames_that_are_off_the_axis_are_told() {
+    let frames = simulated("arch", Insertion::steady(), 11).recording.frames;
+    let off = |gap: std::ops::Range<usize>| {
+        let mut live = Live::new(&sweep()).unwrap();
+        let seen = frames.iter().enumerate().filter(|(k, _)| !gap.contains(k));
+        seen.filter(|(_, frame)| live.push(frame).unwrap().off_axis).count()
+    };
+    let count = frames.len();
+    assert_eq!(off(count / 2..count / 2 + count / 6), 0);
+    assert!(off(count / 3..count / 3 * 2) > 0);
+}
+
 #[test]
 fn the_published_recordings_meet_their_gates_live() {
     let Some(clean) = support::shared("recordings/adult_aorta_clean.mat") else { return };

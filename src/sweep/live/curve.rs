@@ -1,7 +1,7 @@
 //! The curve of the axis while it grows.
 
 use super::super::banded::Pentadiagonal;
-use super::super::centreline::{NODES_PER_RADIUS, SMOOTHNESS, resampled};
+use super::super::centreline::{NODES_PER_RADIUS, SMOOTHNESS, centreline, resampled};
 use glam::DVec3;
 use std::ops::Range;
 
@@ -17,6 +17,12 @@ const MOST_TAKEN_BACK: usize = 8;
 const STRAY_RADII: f64 = 2.0;
 /// The curve is not drawn anew for less, in lumen radii.
 const TOLERANCE_RADII: f64 = 0.01;
+/// Nodes that move by less, in lumen radii, stay while others are drawn anew, so that fewer echoes need a new place.
+const STILL_RADII: f64 = 0.002;
+/// So many centres in a row that are too far from the curve show that the vessel goes on there.
+const LOST: usize = 12;
+/// Settled nodes that tell a lost end where it comes from.
+const GUIDES: usize = 16;
 /// So many times as stiff as the rest: nodes that stay where they are.
 const HELD: f64 = 1e6;
 
@@ -29,6 +35,8 @@ pub(super) struct Curve {
     clusters: Vec<(DVec3, f64)>,
     /// Nodes that do not move any more.
     settled: Option<Range<usize>>,
+    /// The last centres in a row that were too far away.
+    strays_mm: Vec<DVec3>,
 }
 
 /// What a centre did to the curve.
@@ -46,7 +54,8 @@ impl Curve {
     /// A curve along points that centres have been found to follow for the lumen's radius at least.
     pub fn along(points_mm: &[DVec3], centres_mm: &[DVec3], radius_mm: f64) -> Self {
         let nodes_mm = resampled(points_mm, radius_mm / NODES_PER_RADIUS);
-        let mut curve = Self { radius_mm, nodes_mm, clusters: Vec::new(), settled: None };
+        let mut curve =
+            Self { radius_mm, nodes_mm, clusters: Vec::new(), settled: None, strays_mm: Vec::new() };
         curve.prolong_front(BEYOND);
         curve.prolong_back(BEYOND);
         centres_mm.iter().for_each(|&centre| curve.gather(centre));
@@ -80,8 +89,10 @@ impl Curve {
         let place = self.station(centre_mm, all.clone());
         let on_curve = (0.0..=(all.end - 1) as f64).contains(&place);
         if !on_curve || self.at_line(place).distance(centre_mm) > STRAY_RADII * self.radius_mm {
-            return Growth::Stray;
+            self.strays_mm.push(centre_mm);
+            return if self.strays_mm.len() < LOST { Growth::Stray } else { self.rejoin() };
         }
+        self.strays_mm.clear();
         let mut node = place.round() as usize;
         let astray = self.nodes_mm[node].distance(centre_mm) > ASTRAY_RADII * self.radius_mm;
         if let Some(settled) = self.settled.as_mut().filter(|_| astray) {
@@ -108,8 +119,31 @@ impl Curve {
             Some(settled) if at_front => 0..settled.start,
             Some(settled) => settled.end..self.nodes_mm.len(),
         };
+        let mut free = free;
         let drawn = self.drawn(free.clone());
         self.nodes_mm[free.clone()].copy_from_slice(&drawn);
+        if self.settled.is_some() {
+            let still = |k: usize| {
+                let was_mm = k.checked_sub(more).and_then(|k| old.get(k));
+                was_mm.is_some_and(|was| was.distance(self.nodes_mm[k]) <= STILL_RADII * self.radius_mm)
+            };
+            let held = if at_front {
+                let end = free.clone().rev().find(|&k| !still(k)).map_or(free.start, |k| k + 1);
+                free.end = end;
+                end..self.settled.as_ref().map_or(end, |settled| settled.start)
+            } else {
+                let start = free.clone().find(|&k| !still(k)).unwrap_or(free.end);
+                let held = free.start..start;
+                free.start = start;
+                held
+            };
+            for k in held {
+                self.nodes_mm[k] = old[k - more];
+            }
+        }
+        if free.is_empty() {
+            return Growth::None;
+        }
         if self.nodes_mm.len() == old.len() {
             let travel = old.iter().zip(&self.nodes_mm).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
             if travel <= TOLERANCE_RADII * self.radius_mm {
@@ -119,6 +153,81 @@ impl Curve {
         }
         self.settle();
         Growth::Moved { before: more, moved: free }
+    }
+
+    /// Leads the end that the catheter left to where it has been since, as the batch would have it. The vessel's
+    /// middle stays: what strays from there is another branch.
+    fn rejoin(&mut self) -> Growth {
+        let strays_mm = std::mem::take(&mut self.strays_mm);
+        let Some(settled) = self.settled.clone() else { return Growth::Stray };
+        let place = self.station(strays_mm[0], 0..self.nodes_mm.len());
+        let at_back = place >= settled.end.saturating_sub(MOST_TAKEN_BACK) as f64;
+        if !at_back && place > (settled.start + MOST_TAKEN_BACK) as f64 {
+            return Growth::Stray;
+        }
+        let old = self.nodes_mm.len();
+        if !at_back {
+            self.turn_round();
+        }
+        let moved = self.rejoin_back(&strays_mm);
+        if !at_back {
+            self.turn_round();
+        }
+        let all = self.nodes_mm.len();
+        match moved {
+            None => Growth::Stray,
+            Some(moved) if at_back => Growth::Moved { before: 0, moved },
+            Some(moved) => Growth::Moved { before: all - old, moved: all - moved.end..all - moved.start },
+        }
+    }
+
+    fn turn_round(&mut self) {
+        self.nodes_mm.reverse();
+        let all = self.nodes_mm.len();
+        self.settled = self.settled.take().map(|settled| all - settled.end..all - settled.start);
+    }
+
+    /// The nodes that moved or are new; `None` where centres and curve do not make one line.
+    fn rejoin_back(&mut self, strays_mm: &[DVec3]) -> Option<Range<usize>> {
+        let (old, settled) = (self.nodes_mm.len(), self.settled.clone()?);
+        let place = self.station(strays_mm[0], 0..old).min(settled.end as f64) as usize;
+        let end = place.saturating_sub(SETTLED).max(settled.end.saturating_sub(MOST_TAKEN_BACK));
+        let end = end.clamp(settled.start + 2, settled.end.max(settled.start + 2));
+        let guides_mm = &self.nodes_mm[end.saturating_sub(GUIDES).max(settled.start)..end];
+        // Centres that have been found since, in the order of the curve.
+        let mut found: Vec<(f64, DVec3)> = self
+            .clusters
+            .iter()
+            .map(|(sum, count)| *sum / *count)
+            .map(|mean| (self.station(mean, 0..old), mean))
+            .filter(|(place, _)| *place > end as f64)
+            .collect();
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let centres_mm: Vec<DVec3> = guides_mm
+            .iter()
+            .copied()
+            .chain(found.into_iter().map(|(_, mean)| mean))
+            .chain(strays_mm.iter().copied())
+            .collect();
+        let line_mm = resampled(&centreline(&centres_mm, self.radius_mm)?, self.spacing_mm());
+        let from = self.nodes_mm[end - 1];
+        let distance = |k: usize| line_mm[k].distance(from);
+        let joint = (0..line_mm.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b)))?;
+        if distance(joint) > self.radius_mm || joint + 2 > line_mm.len() {
+            return None;
+        }
+        self.nodes_mm.truncate(end);
+        self.nodes_mm.extend(&line_mm[joint + 1..]);
+        let prolonged = (self.nodes_mm.len() + BEYOND).max(old);
+        self.prolong_back(prolonged - self.nodes_mm.len());
+        self.settled = Some(settled.start..end);
+        strays_mm.iter().for_each(|&centre| self.gather(centre));
+        for _ in 0..2 {
+            let drawn = self.drawn(end..prolonged);
+            self.nodes_mm.truncate(end);
+            self.nodes_mm.extend(drawn);
+        }
+        Some(end..prolonged)
     }
 
     fn prolong_back(&mut self, count: usize) {

@@ -80,6 +80,8 @@ pub(crate) struct Step {
     pub echoes: usize,
     /// Rings that were solved for.
     pub rings: usize,
+    /// Whether its centre is too far from the axis for its echoes to have a place.
+    pub off_axis: bool,
 }
 
 /// A frame in the world.
@@ -262,7 +264,8 @@ impl Vessel {
     /// Places the first frames and finds the wall about them.
     fn start(&mut self, frames: &[Seen]) -> Step {
         let mut step = Step::default();
-        let samples: Vec<(usize, Sample, f64)> = frames.iter().flat_map(|seen| self.placed(seen)).collect();
+        let samples: Vec<(usize, Sample, f64)> =
+            frames.iter().flat_map(|seen| self.placed(seen, false)).collect();
         let mut radii: Vec<f64> = samples.iter().map(|(_, sample, _)| sample.echo.radius_mm).collect();
         let start_mm = super::median(&mut radii);
         self.radii_mm.fill(start_mm);
@@ -285,15 +288,18 @@ impl Vessel {
 
     fn push(&mut self, seen: &Seen) -> Step {
         let mut step = Step::default();
-        if let Some(Growth::Moved { before, moved }) = seen.centre_mm().map(|centre| self.curve.push(centre))
-        {
-            let (before, moved) = self.redraw(before, moved, &mut step);
-            step.before = before;
-            step.changed.push(moved);
+        match seen.centre_mm().map(|centre| self.curve.push(centre)) {
+            Some(Growth::Moved { before, moved }) => {
+                let (before, moved) = self.redraw(before, moved, &mut step);
+                step.before = before;
+                step.changed.push(moved);
+            }
+            Some(Growth::Stray) => step.off_axis = true,
+            Some(Growth::None) | None => (),
         }
         let noise_mm = self.noise_mm();
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        for (level, sample, time_s) in self.placed(seen) {
+        for (level, sample, time_s) in self.placed(seen, step.off_axis) {
             step.changed.extend(self.see(level));
             let (foot, on_wall) = self.insert(level, sample, time_s, noise_mm, true);
             step.echoes += 1;
@@ -356,8 +362,9 @@ impl Vessel {
         (noise_mm / self.roughness).powi(2)
     }
 
-    /// The echoes of a frame about the axis, with their levels; those beyond its ends are put aside.
-    fn placed(&mut self, seen: &Seen) -> Vec<(usize, Sample, f64)> {
+    /// The echoes of a frame about the axis, with their levels; those beyond its ends are put aside, or all
+    /// of a frame that is off the axis.
+    fn placed(&mut self, seen: &Seen, off_axis: bool) -> Vec<(usize, Sample, f64)> {
         let frame = &seen.frame;
         let to_world = |p: glam::DVec2| seen.world_from_probe.transform_point(p.extend(0.0));
         let centre = frame.centroid_mm().or_else(|| frame.echoes_mm().next());
@@ -365,7 +372,8 @@ impl Vessel {
         let image_normal = seen.world_from_probe.rotation.z_axis;
         let mut placed = Vec::new();
         for point_mm in frame.echoes_mm().map(to_world) {
-            match self.sample(point_mm, image_normal, seen.number, near) {
+            let sample = (!off_axis).then(|| self.sample(point_mm, image_normal, seen.number, near));
+            match sample.flatten() {
                 Some((level, sample)) => placed.push((level, sample, seen.time_s)),
                 None => self.put_aside(point_mm, image_normal, seen),
             }
