@@ -24,11 +24,13 @@
 
 mod cylinders;
 
-use crate::Result;
 use crate::recording::Frame;
+#[cfg(feature = "gpu")]
+use crate::settings::Backend;
 use crate::settings::{Method, Settings};
 use crate::surface::Surface;
 use crate::sweep::LiveSweep;
+use crate::{Error, Result};
 use cylinders::Cylinders;
 use serde::Serialize;
 use std::ops::Range;
@@ -90,12 +92,16 @@ impl Live {
     /// A vessel of no frames yet.
     ///
     /// # Errors
-    /// Where settings are invalid or ask for a device that is not there.
+    /// Where settings are invalid, ask for a device that is not there, or for what is done to whole recordings only:
+    /// blended cylinders, a sweep's corrections of the tracker, or its fit on a device.
     pub fn new(settings: &Settings) -> Result<Self> {
         settings.validate()?;
         let way = match settings.method {
             Method::Cylinders => Way::Cylinders(Box::new(Cylinders::new(settings)?)),
-            Method::Sweep => Way::Sweep(Box::new(LiveSweep::new(settings))),
+            Method::Sweep => {
+                check_sweep(settings)?;
+                Way::Sweep(Box::new(LiveSweep::new(settings)))
+            }
         };
         Ok(Self { keep_unsupported: settings.sweep.keep_unsupported, frames: 0, way })
     }
@@ -164,4 +170,22 @@ impl Live {
             Way::Sweep(sweep) => sweep.surface(rings, true),
         }
     }
+}
+
+/// Refuses what the live sweep does not do, rather than leaving it undone without a word.
+fn check_sweep(settings: &Settings) -> Result<()> {
+    let refused = |name, found: &str, expected: &str| {
+        Err(Error::Setting { name, found: found.into(), expected: format!("{expected} for a live sweep") })
+    };
+    if settings.sweep.correct_poses {
+        return refused("sweep.correct_poses", "true", "false");
+    }
+    if settings.sweep.estimate_offset {
+        return refused("sweep.estimate_offset", "true", "false");
+    }
+    #[cfg(feature = "gpu")]
+    if settings.backend == Backend::Gpu {
+        return refused("backend", "gpu", "auto or cpu");
+    }
+    Ok(())
 }

@@ -144,7 +144,11 @@ impl<'a> Joint<'a> {
                 Row {
                     corners: grid.corners(ring, node),
                     scale: measured.weight.sqrt(),
-                    weight: if counts { huber(wall.noise_mm, miss) * measured.weight } else { 0.0 },
+                    weight: if counts {
+                        huber(wall.noise_mm, miss) * measured.weight * echo.weight
+                    } else {
+                        0.0
+                    },
                     radius_mm: measured.wall_mm + measured.radial_mm + dot(&pull, &errors[frame]),
                     pull,
                     slide_mm,

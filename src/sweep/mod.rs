@@ -197,10 +197,14 @@ impl Sweep {
         let axis_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
-        let mut echoes = placed(frames, &poses, &axis, nodes);
-        if let Some(half_life_s) = settings.sweep.half_life_s {
-            age(&mut echoes, &times_s(frames), half_life_s);
-        }
+        let place = |poses: &[Pose]| {
+            let mut echoes = placed(frames, poses, &axis, nodes);
+            if let Some(half_life_s) = settings.sweep.half_life_s {
+                age(&mut echoes, &times_s(frames), half_life_s);
+            }
+            echoes
+        };
+        let mut echoes = place(&poses);
         let place_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
@@ -212,8 +216,7 @@ impl Sweep {
         let tracker = match settings.sweep.correct_poses || settings.sweep.estimate_offset {
             true => {
                 let place = |sensors: &[Pose]| {
-                    let poses: Vec<_> = sensors.iter().map(|&sensor| sensor * sensor_from_probe).collect();
-                    placed(frames, &poses, &axis, nodes)
+                    place(&sensors.iter().map(|&sensor| sensor * sensor_from_probe).collect::<Vec<_>>())
                 };
                 let scene = Scene { grid: &grid, axis: &axis, frames, place: &place };
                 Some(Tracker::correct(&scene, &settings.sweep, &mut echoes, &mut wall)?)

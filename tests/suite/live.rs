@@ -258,3 +258,18 @@ fn with_a_half_life_the_wall_follows_the_newer_pass() {
         assert!(all > 0.3 && newer < 0.15, "{all} {newer}");
     }
 }
+
+#[test]
+fn what_is_done_to_whole_recordings_only_is_refused() {
+    let sweep_with = |sweep| Settings { method: Method::Sweep, sweep, ..Settings::default() };
+    let plain = SweepSettings::default();
+    for (settings, name) in [
+        (sweep_with(SweepSettings { correct_poses: true, ..plain }), "sweep.correct_poses"),
+        (sweep_with(SweepSettings { estimate_offset: true, ..plain }), "sweep.estimate_offset"),
+        (Settings { merge: lumenmesh::settings::Merge::Blend, ..cylinders() }, "merge"),
+    ] {
+        let refused = Live::new(&settings).err().unwrap().to_string();
+        assert!(refused.starts_with(&format!("setting {name}: found ")), "{refused}");
+    }
+    assert!(Live::new(&sweep()).is_ok() && Live::new(&cylinders()).is_ok());
+}

@@ -201,3 +201,16 @@ fn the_command_says_what_was_corrected() {
     assert!(said["tracker"]["shift_mm"].as_f64().unwrap() > 0.0, "{said}");
     assert!(said["tracker"]["offset_standard_error_s"].is_f64(), "{said}");
 }
+
+#[test]
+fn echoes_keep_their_age_when_poses_are_corrected() {
+    let recording = simulated("arch", Noise::default()).recording;
+    let aged = SweepSettings { half_life_s: Some(0.5), ..POSES };
+    // Three years are no time; in half a second the catheter hardly moves on.
+    let young = SweepSettings { half_life_s: Some(1e8), ..POSES };
+    let [aged, young, plain] = [aged, young, POSES].map(|settings| swept(&recording, settings).radii_mm);
+    let apart =
+        |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.len() as f64;
+    assert!(apart(&young, &plain) < 1e-3, "{}", apart(&young, &plain));
+    assert!(apart(&aged, &plain) > 0.02, "{}", apart(&aged, &plain));
+}
