@@ -109,7 +109,7 @@ impl Live {
     /// Takes the next frame and brings the mesh up to date.
     ///
     /// # Errors
-    /// [`Error::Frame`](crate::Error::Frame) where [`Frame::check`] refuses it: all is then as before. Also where a
+    /// [`Error::Frame`] where [`Frame::check`] refuses it: all is then as before. Also where a
     /// cylinder was due and cannot be fitted: the frame then counts, the vessel is as before.
     pub fn push(&mut self, frame: &Frame) -> Result<Change> {
         frame.check(self.frames)?;

@@ -212,5 +212,6 @@ fn echoes_keep_their_age_when_poses_are_corrected() {
     let apart =
         |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.len() as f64;
     assert!(apart(&young, &plain) < 1e-3, "{}", apart(&young, &plain));
-    assert!(apart(&aged, &plain) > 0.02, "{}", apart(&aged, &plain));
+    // 0.25 mm; 0.02 mm where only the first fit knows the ages.
+    assert!(apart(&aged, &plain) > 0.1, "{}", apart(&aged, &plain));
 }
