@@ -8,10 +8,10 @@
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on stops there")]
 
 use cpu_time::ProcessTime;
-use lumenmesh::bench::{Case, Parity};
-use lumenmesh::fit::{CpuEngine, Engine, Job, Track, merged_frames};
+use lumenmesh::cylinders::{CpuEngine, Engine, Job, Track, merged_frames};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
+use lumenmesh::study::bench::{Case, Parity};
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::Instant;

@@ -8,9 +8,9 @@
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on stops there")]
 
 use cpu_time::ProcessTime;
-use lumenmesh::fit::engine;
-use lumenmesh::live::Live;
-use lumenmesh::reconstruction::Reconstruction;
+use lumenmesh::cylinders::Reconstruction;
+use lumenmesh::cylinders::engine;
+use lumenmesh::reconstruction::Live;
 use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::settings::{Method, Settings};
 use lumenmesh::simulate::{self, Insertion, Move, Phantom, Shape, Simulation};

@@ -12,10 +12,10 @@
 
 use glam::DVec3;
 use lumenmesh::Result;
+use lumenmesh::cylinders::Reconstruction;
+use lumenmesh::cylinders::engine;
 use lumenmesh::evaluate::{Distances, Locator, Truth, evaluate};
-use lumenmesh::fit::engine;
 use lumenmesh::output::write_atomically;
-use lumenmesh::reconstruction::Reconstruction;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Backend, Merge, Settings};
 use lumenmesh::simulate::{self, Centreline, Insertion, Move, Noise, Phantom, Shape, Simulation, Vessel};

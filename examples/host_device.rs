@@ -8,10 +8,10 @@
 //! cargo run --release --example host_device
 //! ```
 
-use lumenmesh::fit::gpu::GpuEngine;
-use lumenmesh::fit::passes::Section;
-use lumenmesh::fit::{CpuEngine, Engine};
+use lumenmesh::cylinders::{CpuEngine, Engine};
 use lumenmesh::gpu::Requirements;
+use lumenmesh::low_level::cylinders::gpu::GpuEngine;
+use lumenmesh::low_level::cylinders::passes::Section;
 use lumenmesh::settings::Settings;
 use std::error::Error;
 use std::time::Duration;

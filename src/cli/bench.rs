@@ -1,6 +1,6 @@
 use super::print_json;
 use crate::Result;
-use crate::bench::{Case, Parity, Row, SweepCase, SweepRow, Times, run, run_sweep};
+use crate::study::bench::{Case, Parity, Row, SweepCase, SweepRow, Times, run, run_sweep};
 use serde::Serialize;
 
 /// Measure how fast the engines are on this machine
@@ -92,7 +92,7 @@ impl Arguments {
         #[cfg(feature = "gpu")]
         let engine = match &device {
             Some(_) if !self.sweeps.is_empty() => {
-                Some(crate::sweep::gpu::SweepEngine::new(self.adapter.as_deref())?)
+                Some(crate::sweep::wall::gpu::SweepEngine::new(self.adapter.as_deref())?)
             }
             _ => None,
         };
@@ -112,13 +112,13 @@ impl Arguments {
     }
 
     #[cfg(feature = "gpu")]
-    fn device(&self, output: &mut Output) -> Result<Option<crate::bench::device::Device>> {
-        use crate::fit::Engine;
+    fn device(&self, output: &mut Output) -> Result<Option<crate::study::bench::device::Device>> {
+        use crate::cylinders::fit::Engine;
         use crate::gpu::adapters;
         if self.no_device || (self.adapter.is_none() && adapters().is_empty()) {
             return Ok(None);
         }
-        let device = crate::bench::device::Device::new(self.adapter.as_deref())?;
+        let device = crate::study::bench::device::Device::new(self.adapter.as_deref())?;
         output.adapter = device.engine.describe().adapter;
         output.copy_gb_per_s = Some(device.copy_bytes_per_s * 1e-9);
         output.cold_start_s = Some(device.cold_start_s);

@@ -1,6 +1,6 @@
 use super::print_json;
 use crate::Result;
-use crate::fit::AutoEngine;
+use crate::engine::{WORTH_A_DEVICE_S, choose};
 use crate::gpu::{AdapterDescription, adapters};
 use serde::Serialize;
 
@@ -45,9 +45,9 @@ impl Report {
                 Choice { adapter: Some(best.name.clone()), why }
             }
         };
-        let auto = match AutoEngine::choose(&adapters) {
+        let auto = match choose(&adapters) {
             Ok(best) => {
-                let seconds = AutoEngine::WORTH_A_DEVICE_S;
+                let seconds = WORTH_A_DEVICE_S;
                 let why = format!("for work that would take the CPU {seconds} s or more; less stays there");
                 Choice { adapter: Some(best.name.clone()), why }
             }

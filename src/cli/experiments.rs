@@ -1,8 +1,8 @@
 use super::vessel::VesselArguments;
 use super::{print_json, progress};
-use crate::experiments::{DEFINITIONS, Plan, run};
 use crate::output::write_atomically;
 use crate::report::{experiments_page, tables};
+use crate::study::experiments::{DEFINITIONS, Plan, run};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -101,7 +101,7 @@ impl Arguments {
         for table in tables(experiments) {
             text += &format!("\n{table}");
         }
-        text += &format!("\n{}\n\n", crate::experiments::thesis::WHAT_DIFFERS);
+        text += &format!("\n{}\n\n", crate::study::experiments::thesis::WHAT_DIFFERS);
         for (term, meaning) in DEFINITIONS {
             text += &format!("{term}\n    {meaning}\n");
         }

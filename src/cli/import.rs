@@ -1,5 +1,5 @@
 use crate::Result;
-use crate::cylinder::{CylinderEstimator, Upright};
+use crate::cylinders::estimate::{CylinderEstimator, Upright};
 use crate::geometry::Pose;
 use crate::recording::{Centreline, Pullback, Summary};
 use glam::DVec2;

@@ -1,7 +1,9 @@
 use super::settings::SettingsArguments;
 use super::{print_json, progress};
-use crate::fit::{EngineDescription, merged_frames};
-use crate::reconstruction::{Lumen, LumenReport, Report, write_cylinders};
+use crate::cylinders::fit::merged_frames;
+use crate::cylinders::{Report, write_cylinders};
+use crate::engine::EngineDescription;
+use crate::reconstruction::{Lumen, LumenReport};
 use crate::recording::Recording;
 use crate::settings::{Method, Settings};
 use crate::surface;

@@ -1,7 +1,7 @@
 use super::settings::SettingsArguments;
 use super::{print_json, progress};
-use crate::live::{Change, FRAME_INTERVAL_S, Live, Work};
-use crate::recording::Recording;
+use crate::reconstruction::{Change, Live, Work};
+use crate::recording::{FRAME_INTERVAL_S, Recording};
 use crate::settings::Settings;
 use crate::{Error, Result, surface};
 use serde::Serialize;

@@ -1,11 +1,11 @@
 use super::{print_json, progress};
+use crate::cylinders::fit::engine;
 use crate::evaluate::Truth;
-use crate::fit::engine;
 use crate::output::write_atomically;
 use crate::recording::Recording;
 use crate::report::{Table, study_plot};
 use crate::settings::{Backend, Settings};
-use crate::study::{Grid, Row, Study, best_within, pareto_front, write};
+use crate::study::resolution::{Grid, Row, Study, best_within, pareto_front, write};
 use crate::surface::Surface;
 use crate::{Error, Result};
 use std::path::PathBuf;

@@ -1,22 +1,24 @@
 //! What the probe saw: frames with their poses and contours, and the files that hold them.
 
-mod csv;
-mod mat;
-mod mat5;
+mod cylinder;
+mod formats;
 mod pullback;
 mod summary;
-mod table;
 
+pub use cylinder::CylinderModel;
+pub(crate) use cylinder::MOST_RADIUS_MM;
+pub(crate) use formats::Table;
 pub use pullback::{Centreline, Pullback};
 pub use summary::{Defects, Example, Spread, Summary};
-pub(crate) use table::Table;
 
-use crate::cylinder::{CylinderModel, MOST_RADIUS_MM};
 use crate::geometry::Pose;
 use crate::output::ending;
 use crate::{Error, Result};
 use glam::DVec2;
 use std::path::Path;
+
+/// Between frames without a time, s: the thesis's frame rate.
+pub const FRAME_INTERVAL_S: f64 = 1.0 / 12.0;
 
 /// One IVUS frame: a contour and the pose of the tracker sensor when it was taken.
 #[derive(Debug, Clone, PartialEq)]
@@ -99,7 +101,7 @@ impl Recording {
     /// # Errors
     /// Where a file cannot be read, lacks a variable or has one of a wrong shape.
     pub fn read_unchecked(path: &Path) -> Result<Self> {
-        if path.is_dir() { csv::read(path) } else { mat::read_by_ending(path) }
+        if path.is_dir() { formats::csv::read(path) } else { formats::mat::read_by_ending(path) }
     }
 
     /// Writes a recording: `.mat` by that ending, else (no ending, or a folder that is there) a folder of CSV
@@ -111,9 +113,9 @@ impl Recording {
     pub fn write(&self, path: &Path) -> Result<()> {
         self.check().map_err(|e| e.in_file(path))?;
         match ending(path).as_str() {
-            _ if path.is_dir() => csv::write(self, path),
-            "mat" => mat::write(self, path),
-            "" => csv::write(self, path),
+            _ if path.is_dir() => formats::csv::write(self, path),
+            "mat" => formats::mat::write(self, path),
+            "" => formats::csv::write(self, path),
             _ => Err(unknown_ending(path)),
         }
     }

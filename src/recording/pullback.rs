@@ -1,6 +1,6 @@
 //! Pullbacks of an untracked catheter.
 
-use super::table::Table;
+use super::formats::Table;
 use super::{Frame, Recording};
 use crate::geometry::{Pose, rotation_minimising_frames};
 use crate::{Error, Result};

@@ -5,7 +5,7 @@ use super::plot::{Line, Mark, Room, Violin, lines, violins};
 use super::render::Style;
 use crate::Result;
 use crate::evaluate;
-use crate::experiments::{Convergence, DEFINITIONS, Experiments, Outcome, Series, Spread, thesis};
+use crate::study::experiments::{Convergence, DEFINITIONS, Experiments, Outcome, Series, Spread, thesis};
 
 /// Tables 1 to 7, and how far the merged meshes are from the truth both ways.
 pub fn tables(experiments: &Experiments) -> Vec<Table> {
@@ -75,7 +75,7 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
     for table in &all[..3] {
         page.table(table);
     }
-    let convergence = |of: fn(&crate::experiments::Iteration) -> f64, name: &str| Line {
+    let convergence = |of: fn(&crate::study::experiments::Iteration) -> f64, name: &str| Line {
         name: name.into(),
         points: experiments.frustum.iterations.iter().enumerate().map(|(i, s)| [i as f64, of(s)]).collect(),
         mark: Mark::Both,

@@ -2,7 +2,7 @@
 
 use super::plot::{Line, Mark, Room, lines};
 use crate::Result;
-use crate::study::{Row, pareto_front};
+use crate::study::resolution::{Row, pareto_front};
 
 /// Error over time of every row, and the Pareto front, as SVG.
 ///

@@ -30,8 +30,8 @@ pub use probe::Probe;
 pub use tracker::TrackerNoise;
 pub use vessel::Vessel;
 
-use crate::cylinder::CylinderModel;
 use crate::geometry::Pose;
+use crate::recording::CylinderModel;
 use crate::recording::{Frame, Recording};
 use crate::{Error, Result};
 use glam::{DVec2, DVec3};

@@ -1,19 +1,14 @@
 //! Triangle surfaces with arrays over their nodes, and the files that hold them.
-//!
-//! One file of this module per format. VTP rests on `quick-xml`, `flate2` and `base64`. PLY, STL and OBJ are read here:
-//! what bad input may do is then ours to bound, as no buffer is ever larger than the file gives cause for.
 
 mod cut;
-mod obj;
-mod ply;
-mod stl;
+mod formats;
 mod topology;
-mod vtp;
 
 pub use cut::{Cut, Outline};
 pub use topology::Topology;
 
 use crate::{Error, Result, output};
+use formats::{obj, ply, stl, vtp};
 use glam::DVec3;
 use std::path::Path;
 
@@ -41,6 +36,11 @@ pub struct Surface {
     pub triangles: Vec<[u32; 3]>,
     /// Arrays over the nodes.
     pub arrays: Vec<NodeArray>,
+}
+
+/// The two triangles of a face between ring `lower` and the ring above it, as node indices, normals outward.
+pub(crate) fn face_triangles(a: u32, b: u32, b_above: u32, a_above: u32) -> [[u32; 3]; 2] {
+    [[a, b, b_above], [a, b_above, a_above]]
 }
 
 impl Surface {

@@ -5,47 +5,40 @@
 //! axis → `wall` → support of every node → surface. Where settings ask for it, `tracker`
 //! moves the poses in between.
 
-mod axis;
-mod banded;
-mod centreline;
-mod contour;
-mod echo;
-mod engine;
-#[cfg(feature = "gpu")]
-pub mod gpu;
-mod grid;
-mod joint;
 mod live;
-pub mod passes;
+mod prepare;
 mod support;
 mod tracker;
-mod wall;
+pub(crate) mod wall;
 
-pub use axis::Axis;
 pub(crate) use live::LiveSweep;
+pub use prepare::axis::Axis;
 pub use support::Support;
 pub use tracker::Tracker;
 
-use crate::fit::EngineDescription;
+use crate::engine::EngineDescription;
 use crate::geometry::Pose;
-use crate::live::FRAME_INTERVAL_S;
+use crate::recording::FRAME_INTERVAL_S;
 use crate::recording::{Frame, Recording};
 use crate::settings::Settings;
 use crate::surface::Surface;
-use crate::tube::face_triangles;
+use crate::surface::face_triangles;
 use crate::{Error, Result};
 
-use contour::Outline;
-use echo::Echo;
 use glam::{DVec2, DVec3};
-use grid::Grid;
+use prepare::contour::Outline;
+use prepare::{centreline, contour};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 use std::time::Instant;
 use tracker::Scene;
-use wall::Wall;
+use wall::echo::Echo;
+#[cfg(feature = "gpu")]
+pub use wall::gpu::SweepEngine;
+use wall::grid::Grid;
+use wall::{Wall, engine};
 
 /// A vessel swept along its centreline.
 ///
@@ -147,7 +140,7 @@ impl Sweep {
     /// # Errors
     /// As [`Sweep::of`], and [`Error::Gpu`] where the device fails.
     #[cfg(feature = "gpu")]
-    pub fn on_device(recording: &Recording, settings: &Settings, device: &gpu::SweepEngine) -> Result<Self> {
+    pub fn on_device(recording: &Recording, settings: &Settings, device: &SweepEngine) -> Result<Self> {
         Self::fitted(recording, settings, |grid, echoes| {
             engine::fit_on_device(grid, echoes, settings, device).map(|wall| (wall, device.describe()))
         })

@@ -1,9 +1,9 @@
 //! What every node rests on.
 
-use super::echo::Echo;
-use super::grid::Grid;
 use super::median;
 use super::wall::Wall;
+use super::wall::echo::Echo;
+use super::wall::grid::Grid;
 
 /// What the radius of every node rests on. All lists have one value per node.
 #[derive(Debug, Clone, PartialEq)]

@@ -3,8 +3,8 @@
 use crate::cylinders::{assert_agree, assert_all_agree, assert_same};
 use crate::device::{device, open};
 use crate::sections::{RADIUS_MM, recording, wall};
-use lumenmesh::fit::gpu::CpuStages;
-use lumenmesh::fit::{Engine, Job, Track};
+use lumenmesh::cylinders::{Engine, Job, Track};
+use lumenmesh::low_level::cylinders::gpu::CpuStages;
 use lumenmesh::settings::{Settings, Statistic};
 
 const STAGES: [CpuStages; 7] = [
@@ -45,7 +45,8 @@ fn the_cpu_s_stages_do_take_part() {
     device.engine = device.engine.with_cpu_stages(CpuStages::Iterations(1));
     // With every iteration on the CPU a device that has no iteration to do gives the CPU's, to the bit.
     let tube = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
-    let cpu = lumenmesh::fit::CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
+    let cpu =
+        lumenmesh::cylinders::CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
     assert_eq!(tube.radii_mm, cpu.radii_mm);
     assert_eq!(tube.travel_mm, cpu.travel_mm);
     if device.exact {

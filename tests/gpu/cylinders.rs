@@ -1,7 +1,7 @@
 //! Whole cylinders compared.
 
 use crate::device::Device;
-use lumenmesh::fit::{DeformedTube, FittedCylinder};
+use lumenmesh::cylinders::{DeformedTube, FittedCylinder};
 
 /// A tube's numbers in a form whose equality is that of bits: NaN equals itself, 0 is not -0.
 fn bits(tube: &DeformedTube) -> Vec<Vec<u64>> {
@@ -42,7 +42,7 @@ pub fn assert_all_agree(device: &Device, found: &[FittedCylinder], expected: &[F
 
 #[test]
 fn one_ulp_in_one_radius_is_not_the_same() {
-    let tube = lumenmesh::tube::Tube { nodes: 3, levels: 1, height_mm: 1.0 };
+    let tube = lumenmesh::cylinders::Tube { nodes: 3, levels: 1, height_mm: 1.0 };
     let cylinder = DeformedTube {
         tube,
         radius_mm: 1.0,

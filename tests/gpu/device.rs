@@ -1,7 +1,7 @@
 //! The device of these tests, and single passes run on it.
 
-use lumenmesh::fit::gpu::{GpuEngine, Workspace};
 use lumenmesh::gpu::adapters;
+use lumenmesh::low_level::cylinders::gpu::{GpuEngine, Workspace};
 use std::io::Write;
 use std::sync::OnceLock;
 

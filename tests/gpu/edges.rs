@@ -5,8 +5,8 @@ use crate::device::{Device, device};
 use crate::grouping::bins_and_scatters;
 use crate::sections::{RADIUS_MM, both, patch, recording, wall};
 use glam::DVec2;
-use lumenmesh::fit::passes::Section;
-use lumenmesh::fit::{CpuEngine, Engine, Job, Track};
+use lumenmesh::cylinders::{CpuEngine, Engine, Job, Track};
+use lumenmesh::low_level::cylinders::passes::Section;
 use lumenmesh::settings::{Outliers, Settings};
 use std::f64::consts::{PI, TAU};
 

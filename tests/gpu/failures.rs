@@ -3,12 +3,12 @@
 use crate::device::{device, open};
 use crate::sections::{RADIUS_MM, recording, wall};
 use lumenmesh::Error;
-use lumenmesh::fit::gpu::GpuEngine;
-use lumenmesh::fit::{AutoEngine, CpuEngine, Engine, Job, Track};
+use lumenmesh::cylinders::{AutoEngine, CpuEngine, Engine, Job, Track};
 use lumenmesh::gpu::GpuError;
+use lumenmesh::low_level::cylinders::gpu::GpuEngine;
+use lumenmesh::low_level::sweep::gpu::SweepEngine;
 use lumenmesh::settings::{Backend, Settings, Sweep as SweepSettings};
 use lumenmesh::sweep::Sweep;
-use lumenmesh::sweep::gpu::SweepEngine;
 use std::sync::mpsc;
 use std::time::Duration;
 

@@ -3,10 +3,10 @@
 use crate::compare::{Tolerance, numbers};
 use crate::device::{Readback, device};
 use crate::sections::{recording, seeded};
-use lumenmesh::fit::passes::{TriangleStatistic, fill};
-use lumenmesh::fit::{Job, Track};
+use lumenmesh::cylinders::Tube;
+use lumenmesh::cylinders::{Job, Track};
+use lumenmesh::low_level::cylinders::passes::{TriangleStatistic, fill};
 use lumenmesh::settings::Settings;
-use lumenmesh::tube::Tube;
 use rand::RngExt;
 
 /// Statistics of `triangles` triangles, that share of them without points.
@@ -32,7 +32,7 @@ pub fn words(statistics: &[TriangleStatistic<f32>]) -> Vec<[u32; 3]> {
 /// Runs `work` on a workspace of three cylinders, for tubes with a number of faces about the 64 invocations of
 /// a workgroup, with every share of empty triangles.
 pub fn for_three_cylinders(
-    mut work: impl FnMut(&lumenmesh::fit::gpu::Workspace, &Job, &Tube, &[TriangleStatistic<f32>]),
+    mut work: impl FnMut(&lumenmesh::low_level::cylinders::gpu::Workspace, &Job, &Tube, &[TriangleStatistic<f32>]),
 ) {
     let Some(device) = device() else { return };
     let recording = recording(30, 40, 41);

@@ -3,10 +3,10 @@
 use crate::compare::{Tolerance, integers, numbers, places};
 use crate::device::{Device, POISON, device};
 use crate::sections::{RADIUS_MM, rows, seeded, wall};
-use lumenmesh::fit::passes::{Grid, Section, group};
-use lumenmesh::fit::{Job, Track};
+use lumenmesh::cylinders::Tube;
+use lumenmesh::cylinders::{Job, Track};
+use lumenmesh::low_level::cylinders::passes::{Grid, Section, group};
 use lumenmesh::settings::Settings;
-use lumenmesh::tube::Tube;
 use rand::RngExt;
 
 /// About the 256 invocations of a workgroup, and several workgroups.

@@ -8,7 +8,7 @@ use crate::cylinders::assert_agree;
 use crate::device::device;
 use crate::sections::{RADIUS_MM, wall};
 use lumenmesh::Error;
-use lumenmesh::fit::{CpuEngine, Engine};
+use lumenmesh::cylinders::{CpuEngine, Engine};
 use lumenmesh::gpu::GpuError;
 use lumenmesh::settings::Settings;
 use std::time::Instant;

@@ -3,10 +3,10 @@
 use crate::compare::{Tolerance, decisions};
 use crate::device::{Device, device};
 use crate::sections::{RADIUS_MM, seeded};
-use lumenmesh::fit::gpu::LANES;
-use lumenmesh::fit::passes::{Face, Filter, Grid, TriangleStatistic, distance, filter};
+use lumenmesh::cylinders::Tube;
+use lumenmesh::low_level::cylinders::gpu::LANES;
+use lumenmesh::low_level::cylinders::passes::{Face, Filter, Grid, TriangleStatistic, distance, filter};
 use lumenmesh::settings::{Outliers, Settings, Statistic};
-use lumenmesh::tube::Tube;
 use rand::RngExt;
 
 /// How the points of a face differ from each other.

@@ -1,8 +1,8 @@
 //! Every pipeline is one that WebGPU's default limits allow: a device that computes nothing but checks all.
 
-use lumenmesh::fit::gpu::GpuEngine;
 use lumenmesh::gpu::Requirements;
-use lumenmesh::sweep::gpu::SweepEngine;
+use lumenmesh::low_level::cylinders::gpu::GpuEngine;
+use lumenmesh::low_level::sweep::gpu::SweepEngine;
 
 #[test]
 fn every_pipeline_is_valid_within_the_default_limits() {

@@ -3,8 +3,8 @@
 use crate::cylinders::assert_same;
 use crate::device::device;
 use crate::sections::{RADIUS_MM, recording, seeded, wall};
-use lumenmesh::fit::Engine;
-use lumenmesh::fit::passes::Section;
+use lumenmesh::cylinders::Engine;
+use lumenmesh::low_level::cylinders::passes::Section;
 use lumenmesh::settings::{Outliers, Settings, Statistic};
 use rand::seq::SliceRandom;
 use std::process::Command;

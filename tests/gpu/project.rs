@@ -3,8 +3,8 @@
 use crate::compare::{Tolerance, integers, numbers};
 use crate::device::{Device, POISON, device};
 use crate::sections::recording;
-use lumenmesh::fit::passes::{Gate, Section, TubeTransform, project};
-use lumenmesh::fit::{Job, Track};
+use lumenmesh::cylinders::{Job, Track};
+use lumenmesh::low_level::cylinders::passes::{Gate, Section, TubeTransform, project};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
 

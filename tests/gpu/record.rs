@@ -3,10 +3,10 @@
 use crate::cylinders::assert_same;
 use crate::device::{Device, device, say};
 use crate::sections::{RADIUS_MM, recording, rows, wall};
-use lumenmesh::fit::gpu::{GpuEngine, PASSES, Workspace};
-use lumenmesh::fit::passes::Section;
-use lumenmesh::fit::{Engine, Job, Track, merged_frames};
+use lumenmesh::cylinders::{Engine, Job, Track, merged_frames};
 use lumenmesh::gpu::Requirements;
+use lumenmesh::low_level::cylinders::gpu::{GpuEngine, PASSES, Workspace};
+use lumenmesh::low_level::cylinders::passes::Section;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
 use std::cell::RefCell;

@@ -3,9 +3,9 @@
 use crate::cylinders::{assert_all_agree, assert_same};
 use crate::device::{device, say};
 use crate::sections::recording;
+use lumenmesh::cylinders::merge::Vessel;
+use lumenmesh::cylinders::{CpuEngine, Engine, Job, Track, merged_frames};
 use lumenmesh::evaluate::{Truth, evaluate};
-use lumenmesh::fit::{CpuEngine, Engine, Job, Track, merged_frames};
-use lumenmesh::merge::Vessel;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Outliers, Settings, Statistic};
 use lumenmesh::surface::Surface;

@@ -1,9 +1,9 @@
 //! Points and tracks to fit, made from seeds.
 
 use glam::{DQuat, DVec2, DVec3};
-use lumenmesh::cylinder::CylinderModel;
-use lumenmesh::fit::passes::Section;
 use lumenmesh::geometry::Pose;
+use lumenmesh::low_level::cylinders::passes::Section;
+use lumenmesh::recording::CylinderModel;
 use lumenmesh::recording::{Frame, Recording};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

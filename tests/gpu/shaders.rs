@@ -1,10 +1,10 @@
 //! What is written in Rust and in WGSL says the same.
 
-use lumenmesh::fit::gpu::{DeviceCylinder, DeviceJob, DevicePair, LANES, PASSES};
-use lumenmesh::fit::passes::TriangleStatistic;
-use lumenmesh::gpu::{Access, Shader};
+use lumenmesh::low_level::cylinders::gpu::{DeviceCylinder, DeviceJob, DevicePair, LANES, PASSES};
+use lumenmesh::low_level::cylinders::passes::TriangleStatistic;
+use lumenmesh::low_level::gpu::{Access, Shader};
+use lumenmesh::low_level::sweep;
 use lumenmesh::settings::{Outliers, Settings, Statistic};
-use lumenmesh::sweep;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Expression, Handle, Literal, Module, StorageAccess, TypeInner};
 use std::collections::BTreeMap;

@@ -5,11 +5,11 @@ use crate::device::POISON;
 use crate::sections::seeded;
 use crate::sweep_passes::{device, echoes, job};
 use lumenmesh::gpu::Requirements;
+use lumenmesh::low_level::sweep::gpu::SweepEngine;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Backend, Settings};
 use lumenmesh::simulate::{self, Phantom, Shape, Simulation};
 use lumenmesh::sweep::Sweep;
-use lumenmesh::sweep::gpu::SweepEngine;
 use rand::seq::SliceRandom;
 use std::process::Command;
 

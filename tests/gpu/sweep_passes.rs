@@ -3,8 +3,8 @@
 use crate::compare::{Tolerance, integers, numbers};
 use crate::device::{POISON, Readback};
 use crate::sections::seeded;
-use lumenmesh::sweep::gpu::{SweepEngine, Workspace};
-use lumenmesh::sweep::passes::{self, Echo, Factors, Job, State};
+use lumenmesh::low_level::sweep::gpu::{SweepEngine, Workspace};
+use lumenmesh::low_level::sweep::passes::{self, Echo, Factors, Job, State};
 use rand::RngExt;
 use std::sync::OnceLock;
 

@@ -2,11 +2,11 @@
 
 use crate::device::{device, say};
 use crate::recordings::shared;
-use lumenmesh::bench::SweepCase;
 use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Backend, Settings, Sweep as SweepSettings};
 use lumenmesh::simulate::{self, Noise, Phantom, Probe, Shape, Simulation};
+use lumenmesh::study::bench::SweepCase;
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
 

@@ -4,7 +4,8 @@ use crate::compare::{Tolerance, integers, numbers};
 use crate::device::device;
 use crate::fill::{for_three_cylinders, words};
 use crate::sections::seeded;
-use lumenmesh::fit::passes::{Filter, Scalar, support, update};
+use lumenmesh::low_level::cylinders::passes::{Filter, support, update};
+use lumenmesh::low_level::numerics::Scalar;
 use rand::RngExt;
 
 #[test]

@@ -1,13 +1,13 @@
 //! One vessel as the mean of the cylinders that overlap.
 
 use glam::{DMat3, DVec3};
+use lumenmesh::cylinders::Tube;
+use lumenmesh::cylinders::merge::{Blend, Ring, Vessel};
+use lumenmesh::cylinders::{CpuEngine, DeformedTube, Engine, FittedCylinder, Job, Track, merged_frames};
 use lumenmesh::evaluate::{Truth, evaluate};
-use lumenmesh::fit::{CpuEngine, DeformedTube, Engine, FittedCylinder, Job, Track, merged_frames};
 use lumenmesh::geometry::Pose;
-use lumenmesh::merge::{Blend, Ring, Vessel};
 use lumenmesh::settings::{Merge, Settings};
 use lumenmesh::simulate::{self, Phantom, Shape, Simulation};
-use lumenmesh::tube::Tube;
 
 const RADIUS_MM: f64 = 8.0;
 const TUBE: Tube = Tube { nodes: 16, levels: 5, height_mm: 10.0 };

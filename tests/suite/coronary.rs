@@ -2,11 +2,11 @@
 
 use crate::support::{lumenmesh, shared};
 use glam::DVec2;
-use lumenmesh::cylinder::{CylinderEstimator, LocalEstimate, Upright};
+use lumenmesh::cylinders::CpuEngine;
+use lumenmesh::cylinders::Reconstruction;
+use lumenmesh::cylinders::estimate::{CylinderEstimator, LocalEstimate, Upright};
 use lumenmesh::evaluate::{LumenSection, read_values, sections};
-use lumenmesh::fit::CpuEngine;
 use lumenmesh::geometry::Pose;
-use lumenmesh::reconstruction::Reconstruction;
 use lumenmesh::recording::{Frame, Pullback, Recording};
 use lumenmesh::settings::Settings;
 use lumenmesh::surface::Outline;

@@ -3,10 +3,10 @@
 
 use crate::support::shared;
 use glam::{DVec2, DVec3};
-use lumenmesh::cylinder::{CylinderEstimator, CylinderModel, LocalEstimate, UnscentedFilter, WindowFit};
-use lumenmesh::fit::Track;
+use lumenmesh::cylinders::Track;
+use lumenmesh::cylinders::estimate::{CylinderEstimator, LocalEstimate, UnscentedFilter, WindowFit};
 use lumenmesh::geometry::Pose;
-use lumenmesh::recording::{Centreline, Frame, Recording};
+use lumenmesh::recording::{Centreline, CylinderModel, Frame, Recording};
 use lumenmesh::settings::Settings;
 use lumenmesh::simulate::{self, Insertion, Move, Noise, Phantom, Shape, Simulation, Vessel};
 use std::f64::consts::TAU;

@@ -1,16 +1,16 @@
 //! The thesis's experiments, the study and the pages that show them.
 
 use crate::support::{lumenmesh, shared};
+use lumenmesh::cylinders::engine;
 use lumenmesh::evaluate::{Coverage, Truth, evaluate, evaluate_covered};
-use lumenmesh::experiments::{Experiments, Outcome, Plan, run};
-use lumenmesh::fit::engine;
 use lumenmesh::geometry::Pose;
 use lumenmesh::reconstruction::Lumen;
 use lumenmesh::recording::Recording;
 use lumenmesh::report::{Subject, experiments_page, html, tables};
 use lumenmesh::settings::{Method, Settings};
 use lumenmesh::simulate::{self, Centreline, Insertion, Phantom, Shape, Simulation, Vessel};
-use lumenmesh::study::{self, Grid, Study};
+use lumenmesh::study::experiments::{Experiments, Outcome, Plan, run};
+use lumenmesh::study::resolution::{self, Grid, Study};
 use lumenmesh::surface::Surface;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -46,7 +46,7 @@ fn the_number_of_threads_changes_no_number_and_the_seed_does() {
 
 /// Most of the gain comes with the first iteration; with noise the third is a step back, without noise it is not.
 fn has_the_pattern_of_table_4(experiments: &Experiments) -> bool {
-    let medians = |series: &lumenmesh::experiments::Series| -> Vec<f64> {
+    let medians = |series: &lumenmesh::study::experiments::Series| -> Vec<f64> {
         series.cylinder_spread.iter().map(|spread| spread.median_mm).collect()
     };
     let (clean, noisy) = (medians(&experiments.noiseless), medians(&experiments.noisy));
@@ -249,7 +249,7 @@ fn a_study_that_was_interrupted_goes_on_where_it_was() {
         let mut rows = study.read(&path).unwrap();
         assert!(rows.is_empty());
         let interrupted = study.run(&grid, &*engine, 1, &mut rows, |rows| {
-            study::write(rows, &path)?;
+            resolution::write(rows, &path)?;
             if rows.len() < 2 { Ok(()) } else { Err(failure()) }
         });
         assert!(interrupted.is_err());
@@ -260,7 +260,7 @@ fn a_study_that_was_interrupted_goes_on_where_it_was() {
         study
             .run(&grid, &*engine, 1, &mut rows, |rows| {
                 measured += 1;
-                study::write(rows, &path)
+                resolution::write(rows, &path)
             })
             .unwrap();
         assert_eq!((measured, rows.len()), (2, 4));
@@ -283,7 +283,7 @@ fn results_of_other_inputs_are_not_mixed_in() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("study.csv");
     let rows = [study.measure(grid.cells()[0], &*engine, 1).unwrap()];
-    study::write(&rows, &path).unwrap();
+    resolution::write(&rows, &path).unwrap();
     let refused = |recording: &Recording, truth: &Truth, settings: &Settings| {
         Study::new(recording, truth, settings).unwrap().read(&path).is_err()
     };

@@ -1,14 +1,14 @@
 //! The cylinders of an independent f64 implementation of the published method.
 
 use glam::DVec2;
-use lumenmesh::fit::passes::{
-    Face, Filter, Gate, Grid, Groups, Scalar, Section, TubeTransform, distance, fill, filter, group, project,
-    update,
+use lumenmesh::cylinders::Tube;
+use lumenmesh::cylinders::{CpuEngine, Engine, FittedCylinder, Job, Track};
+use lumenmesh::low_level::cylinders::passes::{
+    Face, Filter, Gate, Grid, Groups, Section, TubeTransform, distance, fill, filter, group, project, update,
 };
-use lumenmesh::fit::{CpuEngine, Engine, FittedCylinder, Job, Track};
+use lumenmesh::low_level::numerics::Scalar;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Settings, Statistic};
-use lumenmesh::tube::Tube;
 use std::collections::BTreeMap;
 use std::path::Path;
 

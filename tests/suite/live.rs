@@ -2,10 +2,10 @@
 
 use crate::support;
 use glam::{DVec2, DVec3};
+use lumenmesh::cylinders::Reconstruction;
+use lumenmesh::cylinders::engine;
 use lumenmesh::evaluate::{Locator, Truth, evaluate};
-use lumenmesh::fit::engine;
-use lumenmesh::live::{Live, Work};
-use lumenmesh::reconstruction::Reconstruction;
+use lumenmesh::reconstruction::{Live, Work};
 use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::settings::{Method, Settings, Sweep as SweepSettings};
 use lumenmesh::simulate::{self, Insertion, Move, Phantom, Shape, Simulation};

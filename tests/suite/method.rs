@@ -1,14 +1,15 @@
 //! The published method, statement by statement.
 
 use glam::{DQuat, DVec2, DVec3};
-use lumenmesh::cylinder::{CylinderModel, LocalEstimate};
+use lumenmesh::cylinders::estimate::LocalEstimate;
+use lumenmesh::cylinders::merge::Vessel;
+use lumenmesh::cylinders::{CpuEngine, Engine, FittedCylinder, Job, Track, merged_frames};
+use lumenmesh::cylinders::{Reconstruction, write_cylinders};
 use lumenmesh::evaluate::Truth;
-use lumenmesh::fit::passes::{Face, Gate, Scalar, Section, TubeTransform, distance, project};
-use lumenmesh::fit::{CpuEngine, Engine, FittedCylinder, Job, Track, merged_frames};
 use lumenmesh::geometry::Pose;
-use lumenmesh::merge::Vessel;
-use lumenmesh::reconstruction::{Reconstruction, write_cylinders};
-use lumenmesh::recording::{Frame, Recording};
+use lumenmesh::low_level::cylinders::passes::{Face, Gate, Section, TubeTransform, distance, project};
+use lumenmesh::low_level::numerics::Scalar;
+use lumenmesh::recording::{CylinderModel, Frame, Recording};
 use lumenmesh::settings::{Merge, Outliers, Settings, Statistic};
 use lumenmesh::surface::Surface;
 use parry3d_f64::query::PointQuery;

@@ -2,8 +2,8 @@
 
 use crate::support::{lumenmesh, names};
 use glam::{DVec2, DVec3};
-use lumenmesh::cylinder::CylinderModel;
 use lumenmesh::geometry::Pose;
+use lumenmesh::recording::CylinderModel;
 use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::settings::{Method, Settings};
 use lumenmesh::surface::Surface;

@@ -2,8 +2,8 @@
 
 use crate::support::shared;
 use glam::{DQuat, DVec2, DVec3};
-use lumenmesh::cylinder::CylinderModel;
 use lumenmesh::geometry::Pose;
+use lumenmesh::recording::CylinderModel;
 use lumenmesh::recording::{Frame, Recording};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

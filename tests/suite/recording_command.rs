@@ -2,7 +2,7 @@
 
 use crate::support::{lumenmesh, names, shared};
 use glam::{DMat3, DQuat, DVec2, DVec3};
-use lumenmesh::cylinder::{CylinderEstimator, LocalEstimate};
+use lumenmesh::cylinders::estimate::{CylinderEstimator, LocalEstimate};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Centreline, Frame, Pullback, Recording, Summary};
 use serde_json::Value;

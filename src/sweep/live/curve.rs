@@ -1,7 +1,7 @@
 //! The curve of the axis while it grows.
 
-use super::super::banded::Pentadiagonal;
-use super::super::centreline::{NODES_PER_RADIUS, SMOOTHNESS, centreline, resampled};
+use crate::numerics::banded::Pentadiagonal;
+use crate::sweep::prepare::centreline::{NODES_PER_RADIUS, SMOOTHNESS, centreline, resampled};
 use glam::DVec3;
 use std::ops::Range;
 

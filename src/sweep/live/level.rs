@@ -1,11 +1,11 @@
 //! The echoes between two rings, as many as are worth keeping, and their sums.
 
-use super::super::axis::Axis;
-use super::super::echo::{Echo, Held, gate};
-use super::super::grid::{Corners, Equations, Grid};
-use super::super::support::Tally;
-use super::super::wall::HUBER;
 use super::median::Median;
+use crate::sweep::prepare::axis::Axis;
+use crate::sweep::support::Tally;
+use crate::sweep::wall::HUBER;
+use crate::sweep::wall::echo::{Echo, Held, gate};
+use crate::sweep::wall::grid::{Corners, Equations, Grid};
 use glam::DVec3;
 use std::f64::consts::TAU;
 use std::ops::Range;

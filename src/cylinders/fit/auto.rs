@@ -1,0 +1,177 @@
+use super::passes::Section;
+use super::{CpuEngine, DeformedTube, Engine, FittedCylinder, Job};
+use crate::Result;
+#[cfg(feature = "gpu")]
+use crate::engine;
+use crate::engine::{EngineDescription, WORTH_A_DEVICE_S};
+use crate::settings::Settings;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Fits on whatever is likely to be fastest for the work at hand, and on the CPU where a device fails.
+///
+/// The work on the CPU is estimated from the number of points, faces and iterations. Below
+/// [`WORTH_A_DEVICE_S`] no device is looked for, because starting one takes longer; above, the best
+/// adapter is taken unless it is software, which computes the same on the same cores, only slower.
+#[derive(Default)]
+pub struct AutoEngine {
+    last: Mutex<EngineDescription>,
+    #[cfg(feature = "gpu")]
+    device: Mutex<Option<Device>>,
+}
+
+/// The device of the last call that looked for one.
+#[cfg(feature = "gpu")]
+struct Device {
+    /// The setting that it was looked for by.
+    adapter: Option<String>,
+    /// What was found, or why there is none.
+    engine: Result<std::sync::Arc<super::gpu::GpuEngine>, String>,
+}
+
+impl AutoEngine {
+    /// CPU time of a point and of a face in one iteration, in seconds: about twice what `benches/fit.rs` gives on one
+    /// core of a server processor, since slower ones are common. They steer a choice, not a result.
+    const SECONDS_PER_POINT: f64 = 25e-9;
+    const SECONDS_PER_FACE: f64 = 60e-9;
+
+    fn cpu_seconds(points: u64, cylinders: usize, settings: &Settings) -> f64 {
+        let faces = cylinders as f64 * f64::from(settings.nodes) * f64::from(settings.levels);
+        let an_iteration = points as f64 * Self::SECONDS_PER_POINT + faces * Self::SECONDS_PER_FACE;
+        // Projecting and grouping cost about as much as one iteration.
+        f64::from(settings.iterations + 1) * an_iteration / rayon::current_num_threads() as f64
+    }
+
+    /// Runs work that takes the CPU so many seconds on the engine that suits it.
+    fn run<R>(
+        &self,
+        cpu_seconds: f64,
+        settings: &Settings,
+        work: impl Fn(&dyn Engine) -> Result<R>,
+    ) -> Result<R> {
+        let cpu = CpuEngine::<f32>::new();
+        let on_cpu = |why: String| {
+            self.note(EngineDescription { why: Some(why), ..cpu.describe() });
+            work(&cpu)
+        };
+        if cpu_seconds < WORTH_A_DEVICE_S {
+            let ms = (cpu_seconds * 1e3).ceil();
+            return on_cpu(format!(
+                "the work is about {ms} ms on the CPU, less than starting a device takes"
+            ));
+        }
+        #[cfg(feature = "gpu")]
+        {
+            match self.device(settings.adapter.as_deref()) {
+                Err(why) => on_cpu(why),
+                Ok(gpu) => match work(&*gpu) {
+                    Err(crate::Error::Gpu(failure)) => on_cpu(format!("the device failed: {failure}")),
+                    done => {
+                        let why = format!("the work is about {cpu_seconds:.1} s on the CPU");
+                        self.note(EngineDescription { why: Some(why), ..gpu.describe() });
+                        done
+                    }
+                },
+            }
+        }
+        #[cfg(not(feature = "gpu"))]
+        {
+            let _ = settings;
+            on_cpu("this build has no GPU engine".into())
+        }
+    }
+
+    /// The device of that name, or the best one: started once for calls that ask for the same.
+    #[cfg(feature = "gpu")]
+    fn device(&self, adapter: Option<&str>) -> Result<std::sync::Arc<super::gpu::GpuEngine>, String> {
+        let mut device = locked(&self.device);
+        if let Some(device) = device.as_ref().filter(|d| d.adapter.as_deref() == adapter) {
+            return device.engine.clone();
+        }
+        let engine = engine::start(adapter, super::gpu::GpuEngine::new).map(std::sync::Arc::new);
+        *device = Some(Device { adapter: adapter.map(str::to_owned), engine: engine.clone() });
+        engine
+    }
+
+    fn note(&self, description: EngineDescription) {
+        *locked(&self.last) = description;
+    }
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Progress of work that one engine may begin and another do all over: no cylinder is told of twice.
+struct Tally<'a> {
+    told: AtomicUsize,
+    tell: &'a (dyn Fn(usize) + Sync),
+}
+
+impl<'a> Tally<'a> {
+    fn new(tell: &'a (dyn Fn(usize) + Sync)) -> Self {
+        Self { told: AtomicUsize::new(0), tell }
+    }
+
+    /// The progress of an engine that begins.
+    fn attempt(&self) -> impl Fn(usize) + Sync + '_ {
+        let ready = AtomicUsize::new(0);
+        move |newly| {
+            let ready = ready.fetch_add(newly, Ordering::Relaxed) + newly;
+            let told = self.told.fetch_max(ready, Ordering::Relaxed);
+            if ready > told {
+                (self.tell)(ready - told);
+            }
+        }
+    }
+}
+
+impl Engine for AutoEngine {
+    fn describe(&self) -> EngineDescription {
+        locked(&self.last).clone()
+    }
+
+    fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>> {
+        let mut points = 0;
+        for &frame in job.frames {
+            points += job.track.near(frame, job.settings)?.map(|near| near.echoes.len() as u64).sum::<u64>();
+        }
+        let seconds = Self::cpu_seconds(points, job.frames.len(), job.settings);
+        let tally = Tally::new(job.progress);
+        self.run(seconds, job.settings, |engine| engine.fit(&Job { progress: &tally.attempt(), ..*job }))
+    }
+
+    fn fit_section(
+        &self,
+        section: &Section<f32>,
+        radius_mm: f64,
+        settings: &Settings,
+    ) -> Result<DeformedTube> {
+        let seconds = Self::cpu_seconds(section.len() as u64, 1, settings);
+        self.run(seconds, settings, |engine| engine.fit_section(section, radius_mm, settings))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cylinders_that_a_second_engine_repeats_are_told_of_once() {
+        let told = AtomicUsize::new(0);
+        let tell = |newly| {
+            assert!(newly > 0, "told of nothing");
+            told.fetch_add(newly, Ordering::Relaxed);
+        };
+        let tally = Tally::new(&tell);
+        let on_device = tally.attempt();
+        on_device(30);
+        on_device(20);
+        assert_eq!(told.load(Ordering::Relaxed), 50);
+        let on_cpu = tally.attempt();
+        (0..50).for_each(|_| on_cpu(1));
+        assert_eq!(told.load(Ordering::Relaxed), 50);
+        (50..80).for_each(|_| on_cpu(1));
+        assert_eq!(told.load(Ordering::Relaxed), 80);
+    }
+}

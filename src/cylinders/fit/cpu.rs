@@ -1,0 +1,338 @@
+//! The fit on the CPU: f32 as the device computes it, or f64 as the reference.
+
+use super::passes::{
+    Face, Filter, Grid, Groups, Section, TriangleStatistic, distance, fill, filter, group, support, update,
+};
+use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job, check_section};
+use crate::Result;
+use crate::cylinders::Tube;
+use crate::numerics::Scalar;
+use crate::settings::Settings;
+use rayon::prelude::*;
+use std::marker::PhantomData;
+use std::ops::Range;
+
+/// Fits cylinders on the CPU, on all threads of the current rayon pool.
+///
+/// `CpuEngine<f32>` is the engine `cpu`, `CpuEngine<f64>` the engine `reference`.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct CpuEngine<T>(PhantomData<T>);
+
+impl<T> CpuEngine<T> {
+    /// The engine.
+    pub fn new() -> Self {
+        Self(PhantomData)
+    }
+}
+
+impl<T: Scalar> Engine for CpuEngine<T> {
+    fn describe(&self) -> EngineDescription {
+        let name = if size_of::<T>() == size_of::<f64>() { "reference" } else { "cpu" };
+        EngineDescription { name: name.into(), ..EngineDescription::default() }
+    }
+
+    fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>> {
+        job.frames
+            .par_iter()
+            .map(|&frame| {
+                let cylinder = job.track.cylinder(frame)?;
+                let section = job.track.section::<T>(frame, job.settings)?;
+                let tube = deform(&section, cylinder.radius_mm, job.settings, job.history);
+                (job.progress)(1);
+                Ok(FittedCylinder { frame, world_from_cylinder: cylinder.world_from_cylinder, tube })
+            })
+            .collect()
+    }
+
+    fn fit_section(
+        &self,
+        section: &Section<f32>,
+        radius_mm: f64,
+        settings: &Settings,
+    ) -> Result<DeformedTube> {
+        settings.validate()?;
+        check_section(section, radius_mm)?;
+        let convert = |values: &[f32]| values.iter().map(|&x| T::from_f64(x.to_f64())).collect();
+        let section = Section {
+            r: convert(&section.r),
+            theta: convert(&section.theta),
+            z: convert(&section.z),
+            gated: section.gated,
+        };
+        Ok(deform(&section, radius_mm, settings, false))
+    }
+}
+
+/// The whole fit of one tube (method, section 4).
+fn deform<T: Scalar>(
+    section: &Section<T>,
+    radius_mm: f64,
+    settings: &Settings,
+    history: bool,
+) -> DeformedTube {
+    let mut deformation = Deformation::new(section, radius_mm, settings, history);
+    for _ in 0..settings.iterations {
+        deformation.iterate();
+    }
+    deformation.into_tube()
+}
+
+/// The fit of one tube after some of its iterations.
+pub(super) struct Deformation<T> {
+    tube: Tube,
+    radius_mm: f64,
+    filter: Filter<T>,
+    chunks: Vec<Range<usize>>,
+    gated: u64,
+    keep_history: bool,
+    values: Vec<T>,
+    /// The section's points, face after face.
+    pub(super) groups: Groups<T>,
+    /// Radii of the nodes.
+    pub(super) radii: Vec<T>,
+    /// What each triangle said in the last iteration.
+    pub(super) statistics: Vec<TriangleStatistic<T>>,
+    /// Mean |travel| of each iteration, mm.
+    pub(super) travel_mm: Vec<f64>,
+    /// Radii before the first iteration and after each, mm; empty unless asked for.
+    pub(super) history_mm: Vec<Vec<f64>>,
+}
+
+impl<T: Scalar> Deformation<T> {
+    /// Groups a section's points about the primitive tube.
+    pub(super) fn new(section: &Section<T>, radius_mm: f64, settings: &Settings, history: bool) -> Self {
+        let tube = Tube::new(settings);
+        let groups = group(section, &tube);
+        let radii = vec![T::from_f64(radius_mm); tube.node_count()];
+        Self {
+            tube,
+            radius_mm,
+            filter: Filter::new(settings, radius_mm),
+            chunks: chunks(&groups, tube.face_count()),
+            gated: section.gated,
+            keep_history: history,
+            values: Vec::new(),
+            groups,
+            statistics: vec![TriangleStatistic::default(); 2 * tube.face_count()],
+            travel_mm: Vec::new(),
+            history_mm: if history { vec![to_f64(&radii)] } else { Vec::new() },
+            radii,
+        }
+    }
+
+    /// One iteration.
+    pub(super) fn iterate(&mut self) {
+        let Self { tube, filter, groups, radii, statistics, values, .. } = self;
+        measure(groups, tube, filter, radii, &self.chunks, statistics);
+        fill(statistics, tube, values);
+        self.travel_mm.push(update(values, tube, filter, radii).to_f64());
+        if self.keep_history {
+            self.history_mm.push(to_f64(radii));
+        }
+    }
+
+    fn into_tube(self) -> DeformedTube {
+        let points = self.groups.points.len() as u64;
+        let kept: u64 = self.statistics.iter().map(|s| u64::from(s.kept)).sum();
+        let (support, residuals) = support(&self.statistics, &self.tube);
+        DeformedTube {
+            tube: self.tube,
+            radius_mm: self.radius_mm,
+            radii_mm: to_f64(&self.radii),
+            rejected: if self.travel_mm.is_empty() { 0 } else { points - kept },
+            history_mm: self.history_mm,
+            travel_mm: self.travel_mm,
+            residual_mm: residual_mm(&support, &residuals),
+            support,
+            points,
+            gated: self.gated,
+        }
+    }
+}
+
+fn to_f64<T: Scalar>(radii: &[T]) -> Vec<f64> {
+    radii.iter().map(|r| r.to_f64()).collect()
+}
+
+/// Residuals as a tube reports them: NaN where there are no points.
+pub(super) fn residual_mm<T: Scalar>(support: &[u32], residuals: &[T]) -> Vec<f64> {
+    support.iter().zip(residuals).map(|(&n, r)| if n == 0 { f64::NAN } else { r.to_f64() }).collect()
+}
+
+/// Runs of faces with enough points to be worth a thread's while.
+fn chunks<T: Scalar>(groups: &Groups<T>, faces: usize) -> Vec<Range<usize>> {
+    const POINTS: u32 = 16_384;
+    const FACES: usize = 8_192;
+    let mut chunks = Vec::new();
+    let mut first = 0;
+    for face in 0..faces {
+        let points = groups.offsets[face + 1] - groups.offsets[first];
+        if points >= POINTS || face + 1 - first >= FACES || face + 1 == faces {
+            chunks.push(first..face + 1);
+            first = face + 1;
+        }
+    }
+    chunks
+}
+
+/// The distance and filter passes over all faces: the statistic of every triangle.
+fn measure<T: Scalar>(
+    groups: &Groups<T>,
+    tube: &Tube,
+    filter: &Filter<T>,
+    radii: &[T],
+    chunks: &[Range<usize>],
+    statistics: &mut [TriangleStatistic<T>],
+) {
+    let (mut bottoms, mut tops) = statistics.split_at_mut(tube.face_count());
+    let mut work = Vec::with_capacity(chunks.len());
+    for faces in chunks {
+        let (bottom, rest) = bottoms.split_at_mut(faces.len());
+        bottoms = rest;
+        let (top, rest) = tops.split_at_mut(faces.len());
+        tops = rest;
+        work.push(Chunk { groups, tube, filter, radii, faces: faces.clone(), bottom, top });
+    }
+    // The widest vectors that the processor has; the results are the same on all, since nothing is fused.
+    let arch = pulp::Arch::new();
+    if work.len() == 1 {
+        work.into_iter().for_each(|chunk| arch.dispatch(chunk));
+    } else {
+        work.into_par_iter().for_each(|chunk| arch.dispatch(chunk));
+    }
+}
+
+/// A run of faces and where their statistics go.
+struct Chunk<'a, T> {
+    groups: &'a Groups<T>,
+    tube: &'a Tube,
+    filter: &'a Filter<T>,
+    radii: &'a [T],
+    faces: Range<usize>,
+    bottom: &'a mut [TriangleStatistic<T>],
+    top: &'a mut [TriangleStatistic<T>],
+}
+
+/// Points that go through the distance pass together.
+const BLOCK: usize = 256;
+
+/// Room for a batch of points and their distances, component by component, so that the distance pass runs in
+/// vectors.
+struct Batch<T> {
+    p: [[T; BLOCK]; 3],
+    /// r of b, b' and a' of each point's face, less r of a.
+    corner: [[T; BLOCK]; 3],
+    distance: Vec<T>,
+    top: Vec<u8>,
+}
+
+impl<T: Scalar> Batch<T> {
+    fn new() -> Self {
+        let zero = [[T::default(); BLOCK]; 3];
+        Self { p: zero, corner: zero, distance: Vec::new(), top: Vec::new() }
+    }
+
+    /// The distances of all points of some faces.
+    #[inline(always)]
+    fn measure(&mut self, chunk: &Chunk<T>, grid: &Grid<T>, faces: Range<usize>) {
+        let offsets = &chunk.groups.offsets;
+        let (begin, end) = (offsets[faces.start] as usize, offsets[faces.end] as usize);
+        self.distance.resize(end - begin, T::default());
+        self.top.resize(end - begin, 0);
+        let mut face = faces.start;
+        for (block, points) in chunk.groups.points[begin..end].chunks(BLOCK).enumerate() {
+            let first = begin + block * BLOCK;
+            // A block takes whole faces or a part of one long face.
+            let mut filled = 0;
+            while filled < points.len() {
+                let until = (offsets[face + 1] as usize - first).min(points.len());
+                self.spread(chunk, face, &points[filled..until], filled);
+                filled = until;
+                face += usize::from(first + filled == offsets[face + 1] as usize);
+            }
+            let here = first - begin..first - begin + points.len();
+            let (distances, tops) = (&mut self.distance[here.clone()], &mut self.top[here]);
+            measure_block(&self.p, &self.corner, grid, distances, tops);
+        }
+    }
+
+    /// Sets points of one face beside its corners, from place `first` on.
+    #[inline(always)]
+    fn spread(&mut self, chunk: &Chunk<T>, face: usize, points: &[[T; 3]], first: usize) {
+        let Chunk { tube, radii, .. } = chunk;
+        let (row, j) = (face - face % tube.nodes, face % tube.nodes);
+        let (below, above) = (&radii[row..row + tube.nodes], &radii[row + tube.nodes..row + 2 * tube.nodes]);
+        let k = tube.next(j);
+        let a = below[j];
+        let corners = [below[k] - a, above[k] - a, above[j] - a];
+        for (i, point) in points.iter().enumerate() {
+            self.p[0][first + i] = point[0] - a;
+            self.p[1][first + i] = point[1];
+            self.p[2][first + i] = point[2];
+            for (corner, value) in self.corner.iter_mut().zip(corners) {
+                corner[first + i] = value;
+            }
+        }
+    }
+}
+
+/// The distance pass over a block.
+#[inline(always)]
+fn measure_block<T: Scalar>(
+    p: &[[T; BLOCK]; 3],
+    corner: &[[T; BLOCK]; 3],
+    grid: &Grid<T>,
+    distances: &mut [T],
+    tops: &mut [u8],
+) {
+    let count = distances.len().min(tops.len()).min(BLOCK);
+    let (distances, tops) = (&mut distances[..count], &mut tops[..count]);
+    for i in 0..count {
+        let face = Face {
+            b: corner[0][i],
+            b_above: corner[1][i],
+            a_above: corner[2][i],
+            step_theta: grid.step_theta,
+            step_z: grid.step_z,
+        };
+        let (signed, top) = distance([p[0][i], p[1][i], p[2][i]], &face);
+        distances[i] = signed;
+        tops[i] = u8::from(top);
+    }
+}
+
+impl<T: Scalar> pulp::NullaryFnOnce for Chunk<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let offsets = &self.groups.offsets;
+        let grid = Grid::new(self.tube);
+        let mut batch = Batch::new();
+        let mut keys = Vec::new();
+        let (mut to_bottom, mut to_top) = (Vec::new(), Vec::new());
+        let mut face = self.faces.start;
+        while face < self.faces.end {
+            // As many whole faces as fit a block, or one that does not.
+            let mut last = face + 1;
+            while last < self.faces.end && (offsets[last + 1] - offsets[face]) as usize <= BLOCK {
+                last += 1;
+            }
+            batch.measure(&self, &grid, face..last);
+            let mut taken = 0;
+            for f in face..last {
+                let count = (offsets[f + 1] - offsets[f]) as usize;
+                to_bottom.clear();
+                to_top.clear();
+                for i in taken..taken + count {
+                    let to = if batch.top[i] != 0 { &mut to_top } else { &mut to_bottom };
+                    to.push(batch.distance[i]);
+                }
+                taken += count;
+                self.bottom[f - self.faces.start] = filter(&to_bottom, self.filter, &mut keys);
+                self.top[f - self.faces.start] = filter(&to_top, self.filter, &mut keys);
+            }
+            face = last;
+        }
+    }
+}

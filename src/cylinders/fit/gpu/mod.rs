@@ -1,0 +1,415 @@
+//! The fit on the device: WGSL passes, batched over many cylinders, one submit and one wait a batch.
+//!
+//! Three layers: [`GpuEngine::fit`](super::Engine::fit) takes a track and returns cylinders;
+//! [`GpuEngine::prepare`] makes a [`Workspace`] whose points a host puts on the device itself;
+//! [`GpuEngine::record`] puts the passes into the host's command encoder.
+
+mod job;
+mod pass;
+mod stages;
+mod workspace;
+
+pub use job::{DeviceCylinder, DeviceJob, DevicePair};
+pub use pass::{Items, LANES, PASSES, Pass, Stage};
+pub use stages::CpuStages;
+pub use workspace::Workspace;
+
+use super::cpu::residual_mm;
+use super::passes::Section;
+use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job, check_section};
+use crate::Result;
+use crate::cylinders::Tube;
+use crate::cylinders::track::empty_section;
+use crate::gpu::{AdapterDescription, Context, GpuError, Pipeline, checked};
+use crate::settings::Settings;
+use rayon::prelude::*;
+use std::ops::Range;
+use workspace::{Points, Timer};
+
+/// A pass made ready on a device.
+struct ReadyPass {
+    pass: &'static Pass,
+    pipeline: Pipeline,
+}
+
+/// Fits cylinders on the device.
+pub struct GpuEngine {
+    context: Context,
+    passes: Vec<ReadyPass>,
+    cpu_stages: CpuStages,
+}
+
+impl GpuEngine {
+    /// The engine on the adapter whose name contains `adapter` (without regard to case), or on the best one.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) where there is no such adapter or it refuses a shader.
+    pub fn new(adapter: Option<&str>) -> Result<Self> {
+        Self::on(Context::new(adapter)?)
+    }
+
+    /// The engine on a host's device, which must meet [`Requirements`](crate::gpu::Requirements). No handler of the host's is replaced.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses a shader.
+    pub fn on_device(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
+        Self::on(Context::of_host(device, queue))
+    }
+
+    fn on(context: Context) -> Result<Self> {
+        let passes = PASSES
+            .iter()
+            .map(|pass| Ok(ReadyPass { pass, pipeline: Pipeline::new(&context.device, &pass.shader)? }))
+            .collect::<Result<Vec<_>, GpuError>>()?;
+        Ok(Self { context, passes, cpu_stages: CpuStages::None })
+    }
+
+    /// The same engine, but [`fit`](Engine::fit) and [`fit_section`](Engine::fit_section) compute the first
+    /// stages on the CPU. Where a device gives another result than the CPU, the first stage that has to move to
+    /// the CPU for the results to agree is the one that diverges.
+    #[must_use]
+    pub fn with_cpu_stages(mut self, stages: CpuStages) -> Self {
+        self.cpu_stages = stages;
+        self
+    }
+
+    /// The adapter, where the engine chose it.
+    pub fn adapter(&self) -> Option<&AdapterDescription> {
+        self.context.adapter.as_ref()
+    }
+
+    /// The device.
+    pub fn device(&self) -> &wgpu::Device {
+        &self.context.device
+    }
+
+    /// The queue.
+    pub fn queue(&self) -> &wgpu::Queue {
+        &self.context.queue
+    }
+
+    /// Builds every pipeline now rather than when it is first needed.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses one.
+    pub fn warm_up(&self) -> Result<()> {
+        Ok(self.passes.iter().try_for_each(|ready| ready.pipeline.warm_up(&self.context.device))?)
+    }
+
+    /// Device memory for a tube of that radius and so many points, which the host writes to
+    /// [`Workspace::section`].
+    ///
+    /// # Errors
+    /// Where settings are invalid, and [`Error::Gpu`](crate::Error::Gpu) where the job does not fit the device.
+    pub fn prepare(&self, points: u32, radius_mm: f64, settings: &Settings) -> Result<Workspace> {
+        settings.validate()?;
+        check_section(&Section::default(), radius_mm)?;
+        let points = Points::Section { count: points };
+        Ok(Workspace::new(&self.context, &self.passes, settings, &[radius_mm], &points, false)?)
+    }
+
+    /// Records the whole fit of a workspace into a command encoder. Nothing is submitted.
+    ///
+    /// Nothing is read back either, so that [`GpuError::Unfinished`] is not found out here: a host on a software
+    /// driver keeps its faces below a million points, or fits through [`Engine`].
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses a pipeline.
+    pub fn record(&self, workspace: &Workspace, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+        Ok(workspace.record(&self.context, &self.passes, encoder, CpuStages::None, false, &mut |_| None)?)
+    }
+
+    /// As [`GpuEngine::record`], each pass in a compute pass of its own with the timestamps that `timer` gives
+    /// for its name.
+    ///
+    /// # Errors
+    /// As [`GpuEngine::record`].
+    pub fn record_timed<'a>(
+        &self,
+        workspace: &Workspace,
+        encoder: &mut wgpu::CommandEncoder,
+        timer: &mut (dyn FnMut(&'static str) -> Option<wgpu::ComputePassTimestampWrites<'a>> + 'a),
+    ) -> Result<()> {
+        let timer: &mut Timer<'a> = timer;
+        Ok(workspace.record(&self.context, &self.passes, encoder, CpuStages::None, false, timer)?)
+    }
+
+    /// Device memory for the cylinders of a job, a workspace a batch, with the points on the device.
+    ///
+    /// # Errors
+    /// Where settings are invalid or a frame has no cylinder, and [`Error::Gpu`](crate::Error::Gpu) where the job does not fit the
+    /// device.
+    pub fn prepare_job(&self, job: &Job) -> Result<Vec<Workspace>> {
+        job.settings.validate()?;
+        self.batches(job)?.iter().map(|batch| self.workspace_of(job, batch)).collect()
+    }
+
+    /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back: how a pass is
+    /// compared with its twin on identical inputs.
+    ///
+    /// Outputs that are not among the inputs are filled with ones before, so that what a pass leaves out shows.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) where there is no such pass or buffer, or the device fails.
+    pub fn run_pass(
+        &self,
+        workspace: &Workspace,
+        pass: &str,
+        inputs: &[(&str, &[u8])],
+        outputs: &[&str],
+    ) -> Result<Vec<Vec<u8>>> {
+        let ready = self.passes.iter().find(|ready| ready.pass.shader.name == pass);
+        let unknown =
+            |what: &str| GpuError::Refused { what: what.into(), reason: "no such pass or buffer".into() };
+        let ready = ready.ok_or_else(|| unknown(pass))?;
+        for name in inputs.iter().map(|(name, _)| name).chain(outputs) {
+            workspace.has(name).then_some(()).ok_or_else(|| unknown(name))?;
+        }
+        for name in outputs {
+            let ones = vec![0xff; workspace.buffer(name).size() as usize];
+            checked(&self.context.device, name, || workspace.write(&self.context, name, &ones))?;
+        }
+        for (name, bytes) in inputs {
+            checked(&self.context.device, name, || workspace.write(&self.context, name, bytes))?;
+        }
+        Ok(self.run(workspace, outputs, |encoder| workspace.record_one(&self.context, ready, encoder))?)
+    }
+
+    /// Submits what `record` records and reads some of a workspace's buffers back, whole.
+    fn run(
+        &self,
+        workspace: &Workspace,
+        names: &[&str],
+        record: impl FnOnce(&mut wgpu::CommandEncoder) -> Result<(), GpuError>,
+    ) -> Result<Vec<Vec<u8>>, GpuError> {
+        let buffers: Vec<&wgpu::Buffer> = names.iter().map(|name| workspace.buffer(name)).collect();
+        self.context.run(workspace.bytes(), &buffers, record)
+    }
+
+    /// Runs a workspace and takes its tubes apart; with the sections of its cylinders, after the CPU's stages.
+    fn tubes(
+        &self,
+        workspace: &Workspace,
+        settings: &Settings,
+        radii_mm: &[f64],
+        history: bool,
+        sections: Option<&[Section<f32>]>,
+    ) -> Result<Vec<DeformedTube>, GpuError> {
+        let done = match sections {
+            None => CpuStages::None,
+            Some(_) => self.cpu_stages.up_to(settings.iterations),
+        };
+        let begun = match sections {
+            None => Vec::new(),
+            Some(sections) => {
+                stages::begin(&self.context, workspace, done, settings, radii_mm, history, sections)?
+            }
+        };
+        let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "long_faces", "history"];
+        let names = if history { &names[..] } else { &names[..7] };
+        let read = self.run(workspace, names, |encoder| {
+            workspace.record(&self.context, &self.passes, encoder, done, history, &mut |_| None)
+        })?;
+        let words = |k: usize| bytemuck::pod_collect_to_vec::<u8, u32>(&read[k]);
+        let numbers = |k: usize| bytemuck::pod_collect_to_vec::<u8, f32>(&read[k]);
+        let (radii, support, residuals) = (numbers(0), words(1), numbers(2));
+        let (travels, tallies, gated) = (words(3), words(4), words(5));
+        let history_radii = if history { numbers(7) } else { Vec::new() };
+        // Every long face, in every iteration of the device.
+        let long_faces = words(6);
+        let (listed, finished) = (long_faces[0], long_faces[long_faces.len() - 1]);
+        let expected = listed.wrapping_mul(settings.iterations - done.iterations());
+        if finished != expected {
+            return Err(GpuError::Unfinished { finished, expected });
+        }
+        let tube = Tube::new(settings);
+        let (count, iterations) = (tube.node_count(), settings.iterations as usize);
+        let stride = workspace.travel_stride() as usize / 4;
+        let to_f64 = |r: &[f32]| r.iter().map(|&r| f64::from(r)).collect::<Vec<f64>>();
+        let mut tubes: Vec<DeformedTube> = radii_mm
+            .iter()
+            .enumerate()
+            .map(|(c, &radius_mm)| {
+                let nodes = c * count..(c + 1) * count;
+                let unit = DeviceCylinder::new(settings, radius_mm).unit;
+                let (kept, points) = (u64::from(tallies[2 * c]), u64::from(tallies[2 * c + 1]));
+                let travel = |i: usize| {
+                    let (low, high) = (travels[i * stride + 2 * c], travels[i * stride + 2 * c + 1]);
+                    let sum = i64::from(high) << 32 | i64::from(low);
+                    f64::from(<f32 as crate::numerics::Scalar>::mean_of(sum, unit, count as u32))
+                };
+                DeformedTube {
+                    tube,
+                    radius_mm,
+                    radii_mm: to_f64(&radii[nodes.clone()]),
+                    history_mm: if history {
+                        let all = radii_mm.len() * count;
+                        (0..=iterations).map(|i| to_f64(&history_radii[i * all..][nodes.clone()])).collect()
+                    } else {
+                        Vec::new()
+                    },
+                    travel_mm: (0..iterations).map(travel).collect(),
+                    support: support[nodes.clone()].to_vec(),
+                    residual_mm: residual_mm(&support[nodes.clone()], &residuals[nodes]),
+                    points,
+                    gated: u64::from(gated[c]),
+                    rejected: if iterations == 0 { 0 } else { points - kept },
+                }
+            })
+            .collect();
+        for (tube, begun) in tubes.iter_mut().zip(begun) {
+            begun.enter_into(tube);
+        }
+        Ok(tubes)
+    }
+}
+
+/// Cylinders that are fitted together, and their pairs with frames.
+struct Batch {
+    /// Places in the job's list of frames.
+    members: Range<usize>,
+    radii_mm: Vec<f64>,
+    pairs: Vec<DevicePair>,
+    /// The track's points that its pairs refer to.
+    points: Range<usize>,
+}
+
+/// A cylinder's pairs: points of the track, and `cylTi`.
+type Pairs = Vec<crate::cylinders::NearFrame>;
+
+impl GpuEngine {
+    /// Cuts a job into batches that fit the device.
+    fn batches(&self, job: &Job) -> Result<Vec<Batch>> {
+        let near: Vec<(f64, Pairs)> = job
+            .frames
+            .par_iter()
+            .map(|&frame| {
+                let radius_mm = job.track.cylinder(frame)?.radius_mm;
+                Ok((radius_mm, job.track.near(frame, job.settings)?.collect()))
+            })
+            .collect::<Result<_>>()?;
+        let limits = self.context.device.limits();
+        let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let tube = Tube::new(job.settings);
+        // What grows fastest with each of them: 12 bytes a slot, 24 a face, 4 a node for each iteration of the
+        // history, and what the pairs and their frames' points take.
+        let history = if job.history { 4 * (u64::from(job.settings.iterations) + 1) } else { 4 };
+        let fits = |slots: u64, cylinders: u64, pairs: usize, points: &Range<usize>| {
+            12 * slots <= most_bytes
+                && 24 * cylinders * tube.face_count() as u64 <= most_bytes
+                && history * cylinders * tube.node_count() as u64 <= limits.max_buffer_size
+                && (size_of::<DevicePair>() * pairs) as u64 <= most_bytes
+                && 8 * points.len() as u64 <= most_bytes
+                && cylinders <= 65_535
+        };
+        let span = |a: &Range<usize>, b: &Range<usize>| match (a.is_empty(), b.is_empty()) {
+            (true, _) => b.clone(),
+            (_, true) => a.clone(),
+            _ => a.start.min(b.start)..a.end.max(b.end),
+        };
+        let mut batches: Vec<Batch> = Vec::new();
+        let mut slots = 0;
+        for (k, (radius_mm, pairs)) in near.into_iter().enumerate() {
+            let own: u64 = pairs.iter().map(|p| p.echoes.len() as u64).sum();
+            let own_points = pairs.iter().fold(0..0, |all, p| span(&all, &p.echoes));
+            let open = batches.last().is_some_and(|b| {
+                let cylinders = b.radii_mm.len() as u64 + 1;
+                fits(slots + own, cylinders, b.pairs.len() + pairs.len(), &span(&b.points, &own_points))
+            });
+            if !open {
+                batches.push(Batch { members: k..k, radii_mm: vec![], pairs: vec![], points: 0..0 });
+                slots = 0;
+            }
+            let Some(batch) = batches.last_mut() else { continue };
+            let cylinder = batch.radii_mm.len() as u32;
+            for pair in &pairs {
+                let (first, count) = (pair.echoes.start as u32, pair.echoes.len() as u32);
+                // Only a job that no device holds has 2³² slots; the workspace refuses it.
+                let slot = u32::try_from(slots).unwrap_or(u32::MAX);
+                batch.pairs.push(DevicePair::new(&pair.cylinder_from_probe, cylinder, first, count, slot));
+                slots += u64::from(count);
+            }
+            batch.points = span(&batch.points, &own_points);
+            batch.radii_mm.push(radius_mm);
+            batch.members.end = k + 1;
+        }
+        for batch in &mut batches {
+            for pair in &mut batch.pairs {
+                pair.first_point -= batch.points.start as u32;
+            }
+        }
+        Ok(batches)
+    }
+
+    fn workspace_of(&self, job: &Job, batch: &Batch) -> Result<Workspace> {
+        let points: Vec<[f32; 2]> =
+            job.track.echoes_mm()[batch.points.clone()].iter().map(|p| [p.x as f32, p.y as f32]).collect();
+        let points = Points::Pairs { points: &points, pairs: &batch.pairs };
+        let (context, passes) = (&self.context, &self.passes);
+        Ok(Workspace::new(context, passes, job.settings, &batch.radii_mm, &points, job.history)?)
+    }
+
+    /// The sections of a batch's cylinders, from the CPU.
+    fn sections(&self, job: &Job, batch: &Batch) -> Result<Vec<Section<f32>>> {
+        job.frames[batch.members.clone()].par_iter().map(|&k| job.track.section(k, job.settings)).collect()
+    }
+
+    fn fit_batch(&self, job: &Job, batch: &Batch) -> Result<Vec<FittedCylinder>> {
+        let workspace = self.workspace_of(job, batch)?;
+        let sections = match self.cpu_stages {
+            CpuStages::None => None,
+            _ => Some(self.sections(job, batch)?),
+        };
+        let (settings, radii_mm) = (job.settings, &batch.radii_mm);
+        let tubes = self.tubes(&workspace, settings, radii_mm, job.history, sections.as_deref())?;
+        let fitted = tubes.into_iter().zip(&job.frames[batch.members.clone()]).map(|(tube, &frame)| {
+            if tube.points == 0 {
+                return Err(empty_section(frame, tube.radius_mm, tube.gated, job.settings));
+            }
+            let world_from_cylinder = job.track.cylinder(frame)?.world_from_cylinder;
+            Ok(FittedCylinder { frame, world_from_cylinder, tube })
+        });
+        fitted.collect()
+    }
+}
+
+impl Engine for GpuEngine {
+    fn describe(&self) -> EngineDescription {
+        let adapter = self.adapter().map(|a| format!("{} ({}, {})", a.name, a.backend, a.driver));
+        EngineDescription { name: "gpu".into(), adapter, why: None }
+    }
+
+    fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>> {
+        let mut cylinders = Vec::with_capacity(job.frames.len());
+        for batch in self.batches(job)? {
+            cylinders.extend(self.fit_batch(job, &batch)?);
+            (job.progress)(batch.members.len());
+        }
+        Ok(cylinders)
+    }
+
+    fn fit_section(
+        &self,
+        section: &Section<f32>,
+        radius_mm: f64,
+        settings: &Settings,
+    ) -> Result<DeformedTube> {
+        check_section(section, radius_mm)?;
+        let count = u32::try_from(section.len()).map_err(|_| GpuError::TooLarge {
+            name: "section".into(),
+            needed: 12 * section.len() as u64,
+            allowed: 12 * u64::from(u32::MAX),
+        })?;
+        let workspace = self.prepare(count, radius_mm, settings)?;
+        let rows: Vec<[f32; 3]> =
+            (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
+        workspace.write(&self.context, "section", bytemuck::cast_slice(&rows));
+        let sections = (self.cpu_stages != CpuStages::None).then(|| std::slice::from_ref(section));
+        let mut tubes = self.tubes(&workspace, settings, &[radius_mm], false, sections)?;
+        let Some(mut tube) = tubes.pop() else {
+            return Err(GpuError::Lost { reason: "no result".into() }.into());
+        };
+        tube.gated = section.gated;
+        Ok(tube)
+    }
+}

@@ -1,0 +1,116 @@
+//! The first stages of a fit on the CPU, to find the one in which a device diverges.
+
+use super::Workspace;
+use crate::cylinders::fit::DeformedTube;
+use crate::cylinders::fit::cpu::Deformation;
+use crate::cylinders::fit::passes::Section;
+use crate::gpu::{Context, GpuError, checked};
+use crate::settings::Settings;
+
+/// How far a fit runs on the CPU before the device takes over.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum CpuStages {
+    /// Not at all.
+    #[default]
+    None,
+    /// Through `project`: the device gets points in tube coordinates.
+    Project,
+    /// Through `scatter`: the device gets points grouped by face.
+    Group,
+    /// Through so many iterations: the device gets radii too. With all of them it is left with `support`.
+    Iterations(u32),
+}
+
+impl CpuStages {
+    /// The iterations among them.
+    pub(super) fn iterations(self) -> u32 {
+        match self {
+            CpuStages::Iterations(count) => count,
+            _ => 0,
+        }
+    }
+
+    /// The same stages of a fit that has so many iterations.
+    pub(super) fn up_to(self, iterations: u32) -> Self {
+        match self {
+            CpuStages::Iterations(count) => CpuStages::Iterations(count.min(iterations)),
+            other => other,
+        }
+    }
+}
+
+/// What the CPU knows of a tube that the device does not.
+pub(super) struct Begun {
+    travel_mm: Vec<f64>,
+    history_mm: Vec<Vec<f64>>,
+}
+
+impl Begun {
+    /// Enters the CPU's iterations into a tube that the device finished.
+    pub(super) fn enter_into(self, tube: &mut DeformedTube) {
+        for (of_device, of_cpu) in tube.travel_mm.iter_mut().zip(self.travel_mm) {
+            *of_device = of_cpu;
+        }
+        for (of_device, of_cpu) in tube.history_mm.iter_mut().zip(self.history_mm) {
+            *of_device = of_cpu;
+        }
+    }
+}
+
+/// Runs the stages on the sections of a workspace's cylinders and puts what they give where the device's next
+/// pass looks for it.
+pub(super) fn begin(
+    context: &Context,
+    workspace: &Workspace,
+    stages: CpuStages,
+    settings: &Settings,
+    radii_mm: &[f64],
+    history: bool,
+    sections: &[Section<f32>],
+) -> Result<Vec<Begun>, GpuError> {
+    let write =
+        |name: &str, bytes: &[u8]| checked(&context.device, name, || workspace.write(context, name, bytes));
+    if stages == CpuStages::None {
+        return Ok(Vec::new());
+    }
+    // A section has no more points than its cylinder has slots: the rest of the slots stay without an owner.
+    let rows = |s: &Section<f32>| (0..s.len()).map(|i| [s.r[i], s.theta[i], s.z[i]]).collect::<Vec<_>>();
+    write("section", bytemuck::cast_slice(&sections.iter().flat_map(rows).collect::<Vec<_>>()))?;
+    let gated: Vec<u32> = sections.iter().map(|s| s.gated as u32).collect();
+    write("gated", bytemuck::cast_slice(&gated))?;
+    if workspace.job().single == 0 {
+        let mut owners = vec![u32::MAX; workspace.job().slots as usize];
+        let cylinder_of_each = (0..).zip(sections).flat_map(|(c, s)| std::iter::repeat_n(c, s.len()));
+        for (owner, cylinder) in owners.iter_mut().zip(cylinder_of_each) {
+            *owner = cylinder;
+        }
+        write("owners", bytemuck::cast_slice(&owners))?;
+    }
+    if stages == CpuStages::Project {
+        return Ok(Vec::new());
+    }
+
+    let mut begun = Vec::with_capacity(sections.len());
+    let (mut offsets, mut points) = (vec![0_u32], Vec::new());
+    let (mut radii, mut statistics) = (Vec::new(), Vec::new());
+    for (section, &radius_mm) in sections.iter().zip(radii_mm) {
+        let mut deformation = Deformation::new(section, radius_mm, settings, history);
+        for _ in 0..stages.iterations() {
+            deformation.iterate();
+        }
+        let before = points.len() as u32;
+        offsets.extend(deformation.groups.offsets.iter().skip(1).map(|offset| before + offset));
+        points.extend_from_slice(&deformation.groups.points);
+        radii.extend_from_slice(&deformation.radii);
+        statistics
+            .extend(deformation.statistics.iter().map(|s| [s.value.to_bits(), s.kept, s.residual.to_bits()]));
+        begun.push(Begun { travel_mm: deformation.travel_mm, history_mm: deformation.history_mm });
+    }
+    write("offsets", bytemuck::cast_slice(&offsets))?;
+    write("grouped", bytemuck::cast_slice(&points))?;
+    if stages.iterations() > 0 {
+        write("radii", bytemuck::cast_slice(&radii))?;
+        write("statistics", bytemuck::cast_slice(&statistics))?;
+    }
+    Ok(begun)
+}

@@ -1,0 +1,157 @@
+//! The local fit: a cylinder mesh drawn to the wall points about one frame (thesis, section 3.2).
+//!
+//! A [`Track`] holds the frames; an [`Engine`] fits the cylinders that a [`Job`] asks for. Engines differ in
+//! where and in which precision they compute, not in what: [`passes`] are the method's steps.
+
+mod auto;
+mod cpu;
+#[cfg(feature = "gpu")]
+pub mod gpu;
+pub mod passes;
+
+pub use auto::AutoEngine;
+pub use cpu::CpuEngine;
+
+use super::{Track, Tube};
+use crate::engine::EngineDescription;
+use crate::geometry::Pose;
+use crate::settings::{Backend, Settings};
+use crate::{Error, Result};
+use glam::DVec3;
+use passes::Section;
+use std::path::Path;
+
+/// What an engine is to do.
+#[derive(Clone, Copy)]
+pub struct Job<'a> {
+    /// Where the points come from.
+    pub track: &'a Track,
+    /// The frames whose cylinders are wanted.
+    pub frames: &'a [usize],
+    /// The settings, valid.
+    pub settings: &'a Settings,
+    /// Whether the radii after every iteration are wanted, not only the last.
+    pub history: bool,
+    /// Told the number of cylinders that have become ready since the last call.
+    pub progress: &'a (dyn Fn(usize) + Sync),
+}
+
+impl<'a> Job<'a> {
+    /// A job without history that tells nobody of its progress.
+    pub fn new(track: &'a Track, frames: &'a [usize], settings: &'a Settings) -> Self {
+        Self { track, frames, settings, history: false, progress: &|_| () }
+    }
+}
+
+/// The frames whose cylinders are merged: every `every`-th, counted from the first (9, 19, 29, … for 10).
+pub fn merged_frames(frame_count: usize, settings: &Settings) -> Vec<usize> {
+    let every = settings.every as usize;
+    (every - 1..frame_count).step_by(every).collect()
+}
+
+/// The engine that the settings ask for.
+///
+/// # Errors
+/// [`Error::Gpu`] where the settings insist on a device and there is none.
+pub fn engine(settings: &Settings) -> Result<Box<dyn Engine>> {
+    Ok(match settings.backend {
+        Backend::Auto => Box::new(AutoEngine::default()),
+        Backend::Cpu => Box::new(CpuEngine::<f32>::new()),
+        Backend::Reference => Box::new(CpuEngine::<f64>::new()),
+        #[cfg(feature = "gpu")]
+        Backend::Gpu => Box::new(gpu::GpuEngine::new(settings.adapter.as_deref())?),
+    })
+}
+
+/// Fails where points or a radius that come from outside could not be computed with.
+fn check_section(section: &Section<f32>, radius_mm: f64) -> Result<()> {
+    let fail = |field: &str, found: String, expected: &str| {
+        Err(Error::input(Path::new("section"), field, found, expected))
+    };
+    if !(radius_mm.is_finite() && radius_mm > 0.0) {
+        return fail("radius_mm", radius_mm.to_string(), "more than 0 mm");
+    }
+    let count = section.len();
+    for (field, values) in [("r", &section.r), ("theta", &section.theta), ("z", &section.z)] {
+        if values.len() != count {
+            return fail(field, format!("{} numbers", values.len()), &format!("{count}, as many as r"));
+        }
+        if let Some(point) = values.iter().position(|x| !x.is_finite()) {
+            return fail(field, format!("{} at point {point}", values[point]), "finite numbers");
+        }
+    }
+    Ok(())
+}
+
+/// Something that fits cylinders.
+pub trait Engine: Send + Sync {
+    /// What it is: its name as on the command line, the adapter where there is one, and where it chose between
+    /// others, what it chose last and why.
+    fn describe(&self) -> EngineDescription;
+
+    /// Fits the cylinders of a job, in the order of its frames.
+    ///
+    /// # Errors
+    /// Where a frame has no cylinder or no points in its section, and where the engine itself fails.
+    fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>>;
+
+    /// Fits one tube of that radius to points that already are in its coordinates and within its gate.
+    ///
+    /// # Errors
+    /// Where a number is not finite or the radius not positive, and where the engine itself fails.
+    fn fit_section(
+        &self,
+        section: &Section<f32>,
+        radius_mm: f64,
+        settings: &Settings,
+    ) -> Result<DeformedTube>;
+}
+
+/// A tube after its fit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DeformedTube {
+    /// Its topology.
+    pub tube: Tube,
+    /// Radius of the primitive, mm.
+    pub radius_mm: f64,
+    /// Radii after the last iteration, node after node, mm.
+    pub radii_mm: Vec<f64>,
+    /// Radii after each iteration, the primitive first; empty unless asked for.
+    pub history_mm: Vec<Vec<f64>>,
+    /// Mean |travel| of the nodes in each iteration, mm.
+    pub travel_mm: Vec<f64>,
+    /// Per node: points kept in the last iteration on the triangles that meet there.
+    pub support: Vec<u32>,
+    /// Per node: mean |distance| of those points in the last iteration, mm; NaN without points.
+    pub residual_mm: Vec<f64>,
+    /// Points in the section.
+    pub points: u64,
+    /// Points within the height but outside the radial gate.
+    pub gated: u64,
+    /// Points that the filter dropped in the last iteration.
+    pub rejected: u64,
+}
+
+/// The deformed cylinder of a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FittedCylinder {
+    /// The frame (0-based).
+    pub frame: usize,
+    /// `wTcyl`; the long axis is x.
+    pub world_from_cylinder: Pose,
+    /// Its mesh.
+    pub tube: DeformedTube,
+}
+
+impl FittedCylinder {
+    /// Node positions in the world, mm, for the given radii: ring after ring.
+    pub fn nodes_mm<'a>(&'a self, radii_mm: &'a [f64]) -> impl Iterator<Item = DVec3> + 'a {
+        let tube = &self.tube.tube;
+        radii_mm.iter().enumerate().map(move |(node, r)| {
+            let z = tube.ring_z_mm(node / tube.nodes);
+            let (sin, cos) = tube.node_theta_rad(node % tube.nodes).sin_cos();
+            // Tube axes back to {cyl}: X = -qz, Y = qy, Z = qx.
+            self.world_from_cylinder.transform_point(DVec3::new(z, r * sin, -r * cos))
+        })
+    }
+}

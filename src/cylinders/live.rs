@@ -1,0 +1,75 @@
+//! The published method, frame by frame.
+
+use super::Track;
+use super::estimate::LocalEstimate;
+use super::fit::{Engine, Job, engine};
+use super::merge::Vessel;
+use crate::recording::Frame;
+use crate::settings::{Merge, Settings};
+use crate::{Error, Result};
+use std::ops::Range;
+
+/// Frames that a cylinder looks at in one place, the newest: within [`REST_MM`] of a frame's centre older ones are
+/// forgotten.
+pub(crate) const MAX_FRAMES_AT_REST: usize = 512;
+/// Radius of such a place, mm.
+pub(crate) const REST_MM: f64 = 2.0;
+
+/// Frames, and the vessel of their cylinders.
+pub(crate) struct LiveCylinders {
+    settings: Settings,
+    engine: Box<dyn Engine>,
+    track: Track,
+    pub vessel: Vessel,
+}
+
+/// What a frame did to the vessel.
+#[derive(Debug, Default)]
+pub(crate) struct Step {
+    /// Rings that changed.
+    pub changed: Vec<Range<usize>>,
+    /// Points in the sections of the cylinders that were fitted, gated ones included.
+    pub echoes: usize,
+    /// Rings whose radii were computed.
+    pub rings: usize,
+}
+
+impl LiveCylinders {
+    pub fn new(settings: &Settings) -> Result<Self> {
+        if settings.merge != Merge::Stitch {
+            return Err(Error::Setting {
+                name: "merge",
+                found: "blend".into(),
+                expected: "stitch, as cylinders are merged live".into(),
+            });
+        }
+        let sensor_from_probe = settings.calibration.sensor_from_probe();
+        let estimator = LocalEstimate::new(sensor_from_probe);
+        Ok(Self {
+            settings: settings.clone(),
+            engine: engine(settings)?,
+            track: Track::new(sensor_from_probe, Box::new(estimator)),
+            vessel: Vessel::default(),
+        })
+    }
+
+    /// Takes a frame; every `every`-th brings a cylinder.
+    pub fn push(&mut self, frame: &Frame) -> Result<Step> {
+        self.track.push(frame)?;
+        self.track.forget_rest(REST_MM, MAX_FRAMES_AT_REST);
+        let count = self.track.len();
+        if !count.is_multiple_of(self.settings.every as usize) {
+            return Ok(Step::default());
+        }
+        let fitted = self.engine.fit(&Job::new(&self.track, &[count - 1], &self.settings))?;
+        let mut step = Step::default();
+        let mut first = self.vessel.rings.len();
+        for cylinder in &fitted {
+            first = first.min(self.vessel.stitch(cylinder, &cylinder.tube.radii_mm));
+            step.echoes += (cylinder.tube.points + cylinder.tube.gated) as usize;
+            step.rings += cylinder.tube.tube.levels + 1;
+        }
+        step.changed.push(first..self.vessel.rings.len());
+        Ok(step)
+    }
+}

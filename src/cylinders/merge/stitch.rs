@@ -1,0 +1,47 @@
+use super::{Ring, Vessel};
+use crate::cylinders::fit::FittedCylinder;
+use glam::DVec3;
+
+impl Vessel {
+    /// Appends a cylinder with the given radii (its last ones, or those of another iteration) as published (thesis,
+    /// section 3.3; method, section 5): rings that it overlaps are dropped whole, the rest keep their order, and the
+    /// new rings come behind them, all turned by one shift so that their node 0 is the one nearest to node 0 of the
+    /// last kept ring. The lowest of equally near nodes is taken, looked for on the new cylinder's first ring.
+    /// Returns the first ring that is new or has another number than before.
+    pub fn stitch(&mut self, cylinder: &FittedCylinder, radii_mm: &[f64]) -> usize {
+        let count = cylinder.tube.tube.nodes;
+        let nodes: Vec<DVec3> = cylinder.nodes_mm(radii_mm).collect();
+        let cylinder_from_world = cylinder.world_from_cylinder.inverse();
+        let (low, high) = nodes
+            .iter()
+            .map(|&node| cylinder_from_world.transform_point(node))
+            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
+        let overlaps = |&node: &DVec3| {
+            let q = cylinder_from_world.transform_point(node);
+            q.x >= low.x && low.y <= q.y && q.y <= high.y && low.z <= q.z && q.z <= high.z
+        };
+        let (mut first, mut dropped) = (0, false);
+        self.rings.retain(|ring| {
+            let keep = !ring.nodes_mm.iter().any(overlaps);
+            dropped |= !keep;
+            first += usize::from(!dropped);
+            keep
+        });
+
+        let shift = self.rings.last().map_or(0, |last| {
+            let distance = |j: usize| nodes[j].distance_squared(last.nodes_mm[0]);
+            (1..count).fold(0, |best, j| if distance(j) < distance(best) { j } else { best })
+        });
+        for (ring, ring_nodes) in nodes.chunks_exact(count).enumerate() {
+            let turned = |j: usize| (j + shift) % count;
+            let per_node = |j: usize| ring * count + turned(j);
+            self.rings.push(Ring {
+                frame: cylinder.frame,
+                nodes_mm: (0..count).map(|j| ring_nodes[turned(j)]).collect(),
+                support: (0..count).map(|j| cylinder.tube.support[per_node(j)]).collect(),
+                residual_mm: (0..count).map(|j| cylinder.tube.residual_mm[per_node(j)]).collect(),
+            });
+        }
+        first
+    }
+}

@@ -1,0 +1,186 @@
+//! The published method: a cylinder mesh is fitted to the wall points about every so many frames, and successive
+//! cylinders are merged into one vessel (thesis, chapter 3).
+//!
+//! Data flows one way: frames are placed in the world by a [`Track`], which asks an [`estimate`] for the cylinders
+//! that the recording lacks; an [`Engine`] fits the cylinders; [`merge`] makes one vessel of them.
+
+pub mod estimate;
+pub(crate) mod fit;
+pub(crate) mod live;
+pub mod merge;
+mod track;
+mod tube;
+
+#[cfg(feature = "gpu")]
+pub use fit::gpu::GpuEngine;
+pub use fit::passes::Section;
+pub use fit::{AutoEngine, CpuEngine, DeformedTube, Engine, FittedCylinder, Job, engine, merged_frames};
+pub use track::{NearFrame, PlacedCylinder, Track};
+pub use tube::Tube;
+
+use crate::engine::EngineDescription;
+use crate::output::write_atomically;
+use crate::recording::Recording;
+use crate::settings::Settings;
+use crate::{Error, Result};
+use merge::Vessel;
+use serde::Serialize;
+use std::path::Path;
+use std::time::Instant;
+
+/// What came out of a recording by local cylinders.
+#[derive(Debug, Clone)]
+pub struct Reconstruction {
+    /// The deformed cylinders of the merged frames.
+    pub cylinders: Vec<FittedCylinder>,
+    /// The vessel.
+    pub vessel: Vessel,
+    /// What was done, in numbers.
+    pub report: Report,
+}
+
+/// A reconstruction in numbers.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// The engine that fitted the cylinders.
+    pub engine: EngineDescription,
+    /// Threads that the CPU part could use.
+    pub threads: usize,
+    /// Frames of the recording.
+    pub frames: usize,
+    /// Frames whose cylinder was estimated, because the recording has none.
+    pub estimated_cylinders: usize,
+    /// Cylinders fitted and merged.
+    pub cylinders: usize,
+    /// Rings of the vessel.
+    pub rings: usize,
+    /// Nodes of the vessel.
+    pub nodes: usize,
+    /// Triangles of the vessel.
+    pub triangles: usize,
+    /// Where the points went.
+    pub points: PointCounts,
+    /// Mean |travel| of the nodes in each iteration, over all cylinders, mm.
+    pub mean_travel_mm: Vec<f64>,
+    /// How long each stage took.
+    pub seconds: StageSeconds,
+}
+
+/// Where the points went. A point can lie in the sections of several cylinders and counts in each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct PointCounts {
+    /// Wall points in the recording.
+    pub recorded: u64,
+    /// Rays without an echo.
+    pub missing: u64,
+    /// Points used, summed over the cylinders: in the section and kept by the filter in the last iteration.
+    pub used: u64,
+    /// Points in a section that the filter rejected in the last iteration, summed over the cylinders.
+    pub rejected: u64,
+    /// Points within a cylinder's height but outside its radial gate, summed over the cylinders.
+    pub gated: u64,
+}
+
+/// Wall-clock time of each stage, in seconds.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct StageSeconds {
+    /// Placing the frames in the world, with the estimate of cylinders where there are none.
+    pub track: f64,
+    /// Fitting the cylinders.
+    pub fit: f64,
+    /// Merging them.
+    pub merge: f64,
+}
+
+impl Reconstruction {
+    /// Reconstructs the vessel of a recording by the published method: a cylinder every `every` frames, fitted
+    /// by `engine` and merged as the settings ask. With `history`, cylinders keep their radii of every iteration.
+    /// `progress` is told the number of cylinders that have become ready since its last call. [`Settings::method`] is
+    /// not looked at.
+    ///
+    /// # Errors
+    /// Where settings are invalid, the recording has fewer than `every` frames, or a frame cannot be used.
+    pub fn new(
+        recording: &Recording,
+        settings: &Settings,
+        engine: &dyn Engine,
+        history: bool,
+        progress: &(dyn Fn(usize) + Sync),
+    ) -> Result<Self> {
+        settings.validate()?;
+        let start = Instant::now();
+        let track = Track::of(recording, settings)?;
+        let track_seconds = start.elapsed().as_secs_f64();
+
+        let frames = merged_frames(track.len(), settings);
+        if frames.is_empty() {
+            return Err(Error::Setting {
+                name: "every",
+                found: settings.every.to_string(),
+                expected: format!("at most the recording's {} frames", track.len()),
+            });
+        }
+        let start = Instant::now();
+        let cylinders = engine.fit(&Job { track: &track, frames: &frames, settings, history, progress })?;
+        let fit_seconds = start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        let vessel = Vessel::of(&cylinders, settings.merge);
+        let merge_seconds = start.elapsed().as_secs_f64();
+
+        if vessel.rings.len() < 2 {
+            return Err(Error::Frame {
+                frame: cylinders.last().map_or(0, |c| c.frame),
+                field: "vessel",
+                found: format!("{} rings that points support", vessel.rings.len()),
+                expected: "at least 2 from all cylinders up to here".into(),
+            });
+        }
+        let nodes: usize = vessel.rings.iter().map(|r| r.nodes_mm.len()).sum();
+        let sum = |of: &dyn Fn(&FittedCylinder) -> u64| cylinders.iter().map(of).sum::<u64>();
+        let rejected = sum(&|c| c.tube.rejected);
+        let report = Report {
+            engine: engine.describe(),
+            threads: rayon::current_num_threads(),
+            frames: track.len(),
+            estimated_cylinders: track.estimated_count(),
+            cylinders: cylinders.len(),
+            rings: vessel.rings.len(),
+            nodes,
+            triangles: 2 * (nodes - settings.nodes as usize),
+            points: PointCounts {
+                recorded: track.echo_count() as u64,
+                missing: track.missing_count(),
+                used: sum(&|c| c.tube.points) - rejected,
+                rejected,
+                gated: sum(&|c| c.tube.gated),
+            },
+            mean_travel_mm: (0..settings.iterations as usize)
+                .map(|i| cylinders.iter().map(|c| c.tube.travel_mm[i]).sum::<f64>() / cylinders.len() as f64)
+                .collect(),
+            seconds: StageSeconds { track: track_seconds, fit: fit_seconds, merge: merge_seconds },
+        };
+        Ok(Self { cylinders, vessel, report })
+    }
+}
+
+/// Writes every cylinder's radii after every iteration as CSV: `frame,iteration,ring,node,radius_mm`, frames
+/// and indices from 0, iteration 0 the primitive. Numbers carry all their digits.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn write_cylinders(cylinders: &[FittedCylinder], path: &Path) -> Result<()> {
+    write_atomically(path, |out| {
+        writeln!(out, "frame,iteration,ring,node,radius_mm")?;
+        for cylinder in cylinders {
+            let count = cylinder.tube.tube.nodes;
+            for (iteration, radii) in cylinder.tube.history_mm.iter().enumerate() {
+                for (index, radius) in radii.iter().enumerate() {
+                    let (ring, node) = (index / count, index % count);
+                    writeln!(out, "{},{iteration},{ring},{node},{radius:.12}", cylinder.frame)?;
+                }
+            }
+        }
+        Ok(())
+    })
+}

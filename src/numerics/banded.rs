@@ -1,0 +1,199 @@
+//! Symmetric systems with five diagonals.
+
+use std::ops::{AddAssign, Mul, Sub};
+
+/// A symmetric matrix with two diagonals on either side of the main one.
+#[derive(Debug, Clone)]
+pub(crate) struct Pentadiagonal {
+    /// Per row: its own element and those one and two to the right.
+    rows: Vec<[f64; 3]>,
+}
+
+impl Pentadiagonal {
+    /// A matrix of zeros.
+    pub(crate) fn zeros(count: usize) -> Self {
+        Self { rows: vec![[0.0; 3]; count] }
+    }
+
+    /// `weight` times the squares of all second differences.
+    pub(crate) fn second_differences(count: usize, weight: f64) -> Self {
+        let mut matrix = Self::zeros(count);
+        for row in 0..count.saturating_sub(2) {
+            matrix.add_bend(row, weight);
+        }
+        matrix
+    }
+
+    /// Adds `weight` times the square of the second difference of rows `row` to `row + 2`.
+    pub(crate) fn add_bend(&mut self, row: usize, weight: f64) {
+        self.rows[row][0] += weight;
+        self.rows[row][1] -= 2.0 * weight;
+        self.rows[row][2] += weight;
+        self.rows[row + 1][0] += 4.0 * weight;
+        self.rows[row + 1][1] -= 2.0 * weight;
+        self.rows[row + 2][0] += weight;
+    }
+
+    /// Adds `weight` times the square of a combination of rows `row` and `row + 1`.
+    pub(crate) fn add_pair(&mut self, row: usize, weight: f64, [a, b]: [f64; 2]) {
+        self.rows[row][0] += weight * a * a;
+        self.rows[row][1] += weight * a * b;
+        self.rows[row + 1][0] += weight * b * b;
+    }
+
+    /// Adds to the diagonal.
+    pub(crate) fn add_diagonal(&mut self, row: usize, weight: f64) {
+        self.rows[row][0] += weight;
+    }
+
+    /// `LDLᵀ`; `None` where the matrix is not positive definite.
+    pub(crate) fn factored(mut self) -> Option<Factored> {
+        for i in 0..self.rows.len() {
+            let [d, a, b] = self.rows[i];
+            if !(d > 0.0 && d.is_finite()) {
+                return None;
+            }
+            let (l1, l2) = (a / d, b / d);
+            if let Some(row) = self.rows.get_mut(i + 1) {
+                row[0] -= l1 * a;
+                row[1] -= l1 * b;
+            }
+            if let Some(row) = self.rows.get_mut(i + 2) {
+                row[0] -= l2 * b;
+            }
+            self.rows[i] = [d.recip(), l1, l2];
+        }
+        Some(Factored { rows: self.rows })
+    }
+}
+
+/// `LDLᵀ` of a [`Pentadiagonal`] whose rows are cut into blocks: the insides of all blocks first, then the joints, which
+/// are the first two rows of every block but the first.
+#[cfg(feature = "gpu")]
+#[derive(Debug, Clone)]
+pub(crate) struct Dissected {
+    /// Per row of an inside: 1/D and the factors of the next row, of the one behind it, and of the two joints of its
+    /// block.
+    pub rows: Vec<[f64; 5]>,
+    /// Per joint: 1/D and the factors of the three joints behind it.
+    pub joints: Vec<[f64; 4]>,
+}
+
+#[cfg(feature = "gpu")]
+impl Pentadiagonal {
+    /// `LDLᵀ` in `blocks` blocks of `block_rows` rows, at least four, the last with all that are left; `None` where the
+    /// matrix is not positive definite.
+    pub(crate) fn dissected(mut self, blocks: usize, block_rows: usize) -> Option<Dissected> {
+        let count = self.rows.len();
+        let inverse = |d: f64| (d > 0.0 && d.is_finite()).then(|| d.recip());
+        let mut rows = vec![[0.0; 5]; count];
+        // Per pair of joints: what couples its first and its second to the next pair.
+        let mut fill = vec![[[0.0; 2]; 2]; blocks.saturating_sub(1)];
+        for block in 0..blocks {
+            let first = block * block_rows;
+            let (begin, end) = (
+                if block == 0 { 0 } else { first + 2 },
+                if block + 1 == blocks { count } else { first + block_rows },
+            );
+            // Couplings of the rows to the block's two joints.
+            let mut to_joints = vec![[0.0; 2]; end - begin + 2];
+            if block > 0 {
+                to_joints[0] = [self.rows[first][2], self.rows[first + 1][1]];
+                to_joints[1][1] = self.rows[first + 1][2];
+            }
+            for i in begin..end {
+                let [d, a, b] = self.rows[i];
+                let [u, v] = to_joints[i - begin];
+                let inverse = inverse(d)?;
+                let [next, next_but_one, w, z] = [a, b, u, v].map(|x| x * inverse);
+                rows[i] = [inverse, next, next_but_one, w, z];
+                if let Some(row) = self.rows.get_mut(i + 1) {
+                    row[0] -= next * a;
+                    row[1] -= next * b;
+                }
+                if let Some(row) = self.rows.get_mut(i + 2) {
+                    row[0] -= next_but_one * b;
+                }
+                for (k, x) in [(1, a), (2, b)] {
+                    to_joints[i - begin + k][0] -= w * x;
+                    to_joints[i - begin + k][1] -= z * x;
+                }
+                if block > 0 {
+                    self.rows[first][0] -= w * u;
+                    self.rows[first][1] -= w * v;
+                    self.rows[first + 1][0] -= z * v;
+                }
+            }
+            if block > 0 && block + 1 < blocks {
+                let [p, q] = [to_joints[end - begin], to_joints[end - begin + 1]];
+                fill[block - 1] = [[p[0], q[0]], [p[1], q[1]]];
+            }
+        }
+        // The joints couple to the next three.
+        let mut joints: Vec<[f64; 4]> = (1..blocks)
+            .flat_map(|block| {
+                let ([[d, a, _], [e, _, _]], [[p, q], [r, s]]) =
+                    ([self.rows[block * block_rows], self.rows[block * block_rows + 1]], fill[block - 1]);
+                [[d, a, p, q], [e, r, s, 0.0]]
+            })
+            .collect();
+        for i in 0..joints.len() {
+            let [d, a, b, c] = joints[i];
+            let inverse = inverse(d)?;
+            let [l1, l2, l3] = [a, b, c].map(|x| x * inverse);
+            if let Some(row) = joints.get_mut(i + 1) {
+                row[0] -= l1 * a;
+                row[1] -= l1 * b;
+                row[2] -= l1 * c;
+            }
+            if let Some(row) = joints.get_mut(i + 2) {
+                row[0] -= l2 * b;
+                row[1] -= l2 * c;
+            }
+            if let Some(row) = joints.get_mut(i + 3) {
+                row[0] -= l3 * c;
+            }
+            joints[i] = [inverse, l1, l2, l3];
+        }
+        Some(Dissected { rows, joints })
+    }
+}
+
+/// A factored [`Pentadiagonal`].
+#[derive(Debug, Clone)]
+pub(crate) struct Factored {
+    /// Per row: 1/D and the elements of Lᵀ one and two to the right.
+    rows: Vec<[f64; 3]>,
+}
+
+impl Factored {
+    /// The solution for one right-hand side.
+    pub(crate) fn solve<T>(&self, mut x: Vec<T>) -> Vec<T>
+    where
+        T: Copy + Mul<f64, Output = T> + Sub<Output = T> + AddAssign,
+    {
+        let count = self.rows.len();
+        for i in 0..count {
+            let [_, l1, l2] = self.rows[i];
+            let here = x[i];
+            if i + 1 < count {
+                x[i + 1] = x[i + 1] - here * l1;
+            }
+            if i + 2 < count {
+                x[i + 2] = x[i + 2] - here * l2;
+            }
+        }
+        for i in (0..count).rev() {
+            let [inverse, l1, l2] = self.rows[i];
+            let mut here = x[i] * inverse;
+            if i + 1 < count {
+                here = here - x[i + 1] * l1;
+            }
+            if i + 2 < count {
+                here = here - x[i + 2] * l2;
+            }
+            x[i] = here;
+        }
+        x
+    }
+}

@@ -1,0 +1,187 @@
+//! A vessel that grows while the recording goes on: a frame comes, the mesh is brought up to date, in bounded time.
+//!
+//! ```
+//! use lumenmesh::reconstruction::Live;
+//! use lumenmesh::settings::{Method, Settings};
+//! # use lumenmesh::simulate::{self, Insertion, Phantom, Shape, Simulation};
+//! # let vessel = Phantom::from("cylinder".parse::<Shape>()?).vessel()?;
+//! # let settings = simulate::Settings { insertion: Insertion::steady(), ..Default::default() };
+//! # let frames = Simulation::run(vessel, &settings)?.recording.frames;
+//!
+//! let mut live = Live::new(&Settings { method: Method::Sweep, ..Settings::default() })?;
+//! for frame in &frames {
+//!     let change = live.push(frame)?;
+//!     for rings in change.changed {
+//!         let part = live.part(rings);
+//!         // … to the buffers of whoever shows it
+//! #       assert!(part.check().is_ok());
+//!     }
+//! }
+//! live.surface().write("vessel.vtp".as_ref())?;
+//! # std::fs::remove_file("vessel.vtp").ok();
+//! # Ok::<(), lumenmesh::Error>(())
+//! ```
+
+use crate::cylinders::live::{LiveCylinders, MAX_FRAMES_AT_REST, REST_MM};
+use crate::recording::Frame;
+#[cfg(feature = "gpu")]
+use crate::settings::Backend;
+use crate::settings::{Method, Settings};
+use crate::surface::Surface;
+use crate::sweep::LiveSweep;
+use crate::{Error, Result};
+use serde::Serialize;
+use std::ops::Range;
+
+/// A vessel that grows frame by frame.
+///
+/// With the method `cylinders` it is the vessel that [`Reconstruction`](crate::cylinders::Reconstruction) makes of
+/// the same frames, to the last bit, as long as the catheter has not rested for more than
+/// [`MAX_FRAMES_AT_REST`](Self::MAX_FRAMES_AT_REST) frames anywhere. With `sweep` it comes near to
+/// [`Sweep::of`](crate::sweep::Sweep::of), which looks at all echoes at once.
+pub struct Live {
+    keep_unsupported: bool,
+    frames: usize,
+    way: Way,
+}
+
+enum Way {
+    Cylinders(Box<LiveCylinders>),
+    Sweep(Box<LiveSweep>),
+}
+
+/// What a frame changed. Rings are numbered along the vessel; ring k has the nodes from k times [`Live::nodes`] on.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Change {
+    /// The frame's number: how many were taken before it.
+    pub frame: usize,
+    /// New rings in front of all others: what was ring k is ring k + `before` now.
+    pub before: usize,
+    /// Rings whose nodes or values changed or are new, in ascending order, apart from each other.
+    pub changed: Vec<Range<usize>>,
+    /// Rings of the vessel now. Fewer than before, less the new ones: the last were dropped.
+    pub rings: usize,
+    /// Whether the frame lies too far from a swept vessel's axis. Its echoes wait until the axis reaches them; many such
+    /// frames mean another branch, or a vessel that was lost.
+    pub off_axis: bool,
+    /// What it took.
+    pub work: Work,
+}
+
+/// How much was computed for a frame. It has an upper bound, whatever the length of the recording.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Work {
+    /// Echoes that were looked at: the frame's own and older ones.
+    pub echoes: usize,
+    /// Rings whose radii were computed.
+    pub rings: usize,
+}
+
+impl Live {
+    /// Frames that a cylinder looks at in one place, the newest: within [`REST_MM`](Self::REST_MM) of a frame's centre
+    /// older ones are forgotten.
+    pub const MAX_FRAMES_AT_REST: usize = MAX_FRAMES_AT_REST;
+    /// Radius of such a place, mm.
+    pub const REST_MM: f64 = REST_MM;
+
+    /// A vessel of no frames yet.
+    ///
+    /// # Errors
+    /// Where settings are invalid, ask for a device that is not there, or for what is done to whole recordings only:
+    /// blended cylinders, a sweep's corrections of the tracker, or its fit on a device.
+    pub fn new(settings: &Settings) -> Result<Self> {
+        settings.validate()?;
+        let way = match settings.method {
+            Method::Cylinders => Way::Cylinders(Box::new(LiveCylinders::new(settings)?)),
+            Method::Sweep => {
+                check_sweep(settings)?;
+                Way::Sweep(Box::new(LiveSweep::new(settings)))
+            }
+        };
+        Ok(Self { keep_unsupported: settings.sweep.keep_unsupported, frames: 0, way })
+    }
+
+    /// Takes the next frame and brings the mesh up to date.
+    ///
+    /// # Errors
+    /// [`Error::Frame`] where [`Frame::check`] refuses it: all is then as before. Also where a
+    /// cylinder was due and cannot be fitted: the frame then counts, the vessel is as before.
+    pub fn push(&mut self, frame: &Frame) -> Result<Change> {
+        frame.check(self.frames)?;
+        let number = self.frames;
+        self.frames += 1;
+        let (before, changed, off_axis, work) = match &mut self.way {
+            Way::Cylinders(cylinders) => {
+                let step = cylinders.push(frame)?;
+                let work = Work { echoes: step.echoes, rings: step.rings };
+                (0, step.changed, false, work)
+            }
+            Way::Sweep(sweep) => {
+                let step = sweep.push(frame)?;
+                let work = Work { echoes: step.echoes, rings: step.rings };
+                (step.before, step.changed, step.off_axis, work)
+            }
+        };
+        Ok(Change { frame: number, before, changed, rings: self.rings(), off_axis, work })
+    }
+
+    /// Frames taken.
+    pub fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// Rings of the vessel.
+    pub fn rings(&self) -> usize {
+        match &self.way {
+            Way::Cylinders(cylinders) => cylinders.vessel.rings.len(),
+            Way::Sweep(sweep) => sweep.rings(),
+        }
+    }
+
+    /// Nodes a ring; 0 as long as there is no ring.
+    pub fn nodes(&self) -> usize {
+        match &self.way {
+            Way::Cylinders(cylinders) => cylinders.vessel.rings.first().map_or(0, |ring| ring.nodes_mm.len()),
+            Way::Sweep(sweep) => sweep.nodes(),
+        }
+    }
+
+    /// The vessel so far, with the arrays of [`Vessel::surface`](crate::cylinders::merge::Vessel::surface) or
+    /// [`Sweep::surface`](crate::sweep::Sweep::surface). A swept one lacks what is not supported, unless the settings keep
+    /// it; a vessel that has not begun has no nodes.
+    pub fn surface(&self) -> Surface {
+        match &self.way {
+            Way::Cylinders(cylinders) => cylinders.vessel.surface(),
+            Way::Sweep(sweep) => sweep.surface(0..sweep.rings(), self.keep_unsupported),
+        }
+    }
+
+    /// Some rings, those that are there, with all their nodes in order and the triangles between them; of a swept vessel
+    /// also what is not supported, as the array `supported` says. It takes time for these rings only.
+    pub fn part(&self, rings: Range<usize>) -> Surface {
+        let end = rings.end.min(self.rings());
+        let rings = rings.start.min(end)..end;
+        match &self.way {
+            Way::Cylinders(cylinders) => cylinders.vessel.part(rings),
+            Way::Sweep(sweep) => sweep.surface(rings, true),
+        }
+    }
+}
+
+/// Refuses what the live sweep does not do, rather than leaving it undone without a word.
+fn check_sweep(settings: &Settings) -> Result<()> {
+    let refused = |name, found: &str, expected: &str| {
+        Err(Error::Setting { name, found: found.into(), expected: format!("{expected} for a live sweep") })
+    };
+    if settings.sweep.correct_poses {
+        return refused("sweep.correct_poses", "true", "false");
+    }
+    if settings.sweep.estimate_offset {
+        return refused("sweep.estimate_offset", "true", "false");
+    }
+    #[cfg(feature = "gpu")]
+    if settings.backend == Backend::Gpu {
+        return refused("backend", "gpu", "auto or cpu");
+    }
+    Ok(())
+}

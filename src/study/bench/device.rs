@@ -1,0 +1,234 @@
+//! Timing on a device.
+
+use super::{DeviceRow, PassRow, RADIUS_MM, Times};
+use crate::Result;
+use crate::cylinders::Tube;
+use crate::cylinders::fit::Engine;
+use crate::cylinders::fit::gpu::{GpuEngine, PASSES, Workspace};
+use crate::cylinders::fit::passes::{Section, group};
+use crate::gpu::GpuError;
+use crate::settings::Settings;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// A device to be timed.
+pub struct Device {
+    /// The engine, its pipelines built.
+    pub engine: GpuEngine,
+    /// Bytes read and written a second when the device copies a large buffer.
+    pub copy_bytes_per_s: f64,
+    /// Seconds from nothing to the first result: adapter, device, shaders, a small fit.
+    pub cold_start_s: f64,
+}
+
+impl Device {
+    /// Starts a device and measures its copy bandwidth.
+    ///
+    /// # Errors
+    /// As [`GpuEngine::new`].
+    pub fn new(adapter: Option<&str>) -> Result<Self> {
+        let start = std::time::Instant::now();
+        let engine = GpuEngine::new(adapter)?;
+        let small = Section { r: vec![RADIUS_MM as f32], theta: vec![0.0], z: vec![0.0], gated: 0 };
+        engine.fit_section(&small, RADIUS_MM, &Settings::default())?;
+        let cold_start_s = start.elapsed().as_secs_f64();
+        engine.warm_up()?;
+        let mut device = Self { engine, copy_bytes_per_s: 0.0, cold_start_s };
+        device.copy_bytes_per_s = device.measure_copy()?;
+        Ok(device)
+    }
+
+    fn measure_copy(&self) -> Result<f64> {
+        const BYTES: u64 = 256 << 20;
+        let size = BYTES.min(self.engine.device().limits().max_buffer_size);
+        let buffer = |label| {
+            self.engine.device().create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size,
+                usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        let (from, to) = (buffer("from"), buffer("to"));
+        let copies = 8;
+        let times = Times::measure(5, || {
+            self.submit(|encoder| {
+                for _ in 0..copies {
+                    encoder.copy_buffer_to_buffer(&from, 0, &to, 0, Some(size));
+                }
+                Ok(())
+            })
+        })?;
+        Ok(2.0 * (copies * size) as f64 / (times.min_ms * 1e-3))
+    }
+
+    /// Submits what is recorded and waits for it.
+    fn submit(&self, record: impl FnOnce(&mut wgpu::CommandEncoder) -> Result<()>) -> Result<()> {
+        let (device, queue) = (self.engine.device(), self.engine.queue());
+        let mut encoder = device.create_command_encoder(&Default::default());
+        record(&mut encoder)?;
+        let submission_index = Some(queue.submit([encoder.finish()]));
+        let timeout = Some(Duration::from_secs(120));
+        device
+            .poll(wgpu::PollType::Wait { submission_index, timeout })
+            .map_err(|e| GpuError::Lost { reason: e.to_string() })?;
+        Ok(())
+    }
+
+    pub(super) fn time(
+        &self,
+        section: &Section<f32>,
+        settings: &Settings,
+        repeats: usize,
+    ) -> Result<DeviceRow> {
+        let engine = &self.engine;
+        let end_to_end = Times::measure(repeats, || engine.fit_section(section, RADIUS_MM, settings))?;
+        let workspace = engine.prepare(section.len() as u32, RADIUS_MM, settings)?;
+        let rows: Vec<[f32; 3]> =
+            (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
+        let upload = Times::measure(repeats, || {
+            engine.queue().write_buffer(workspace.section(), 0, bytemuck::cast_slice(&rows));
+            self.submit(|_| Ok(()))
+        })?;
+        let resident = Times::measure(repeats, || self.submit(|encoder| engine.record(&workspace, encoder)))?;
+        let readback = Times::measure(repeats, || self.read(workspace.radii()).map(drop))?;
+        let passes = self.time_passes(&workspace, section, settings, repeats)?;
+        Ok(DeviceRow { end_to_end, upload, resident, readback, passes })
+    }
+
+    fn read(&self, from: &wgpu::Buffer) -> Result<Vec<u8>> {
+        let copy = self.engine.device().create_buffer(&wgpu::BufferDescriptor {
+            label: Some("readback"),
+            size: from.size(),
+            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+            mapped_at_creation: false,
+        });
+        self.submit(|encoder| {
+            encoder.copy_buffer_to_buffer(from, 0, &copy, 0, Some(from.size()));
+            Ok(())
+        })?;
+        copy.slice(..).map_async(wgpu::MapMode::Read, |_| ());
+        self.submit(|_| Ok(()))?;
+        let view = copy.slice(..).get_mapped_range();
+        Ok(view.map_err(|e| GpuError::Lost { reason: e.to_string() })?.to_vec())
+    }
+
+    /// Device time of each pass over a fit.
+    fn time_passes(
+        &self,
+        workspace: &Workspace,
+        section: &Section<f32>,
+        settings: &Settings,
+        repeats: usize,
+    ) -> Result<Vec<PassRow>> {
+        let (device, queue) = (self.engine.device(), self.engine.queue());
+        if !device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
+            return Ok(Vec::new());
+        }
+        let most = 2 * (PASSES.len() as u32) * (settings.iterations + 1);
+        let queries = device.create_query_set(&wgpu::QuerySetDescriptor {
+            label: None,
+            ty: wgpu::QueryType::Timestamp,
+            count: most,
+        });
+        let resolved = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("timestamps"),
+            size: 8 * u64::from(most),
+            usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
+        let mut samples: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
+        for _ in 0..repeats.max(1) {
+            let mut names = Vec::new();
+            self.submit(|encoder| {
+                self.engine.record_timed(workspace, encoder, &mut |name| {
+                    let first = 2 * names.len() as u32;
+                    names.push(name);
+                    Some(wgpu::ComputePassTimestampWrites {
+                        query_set: &queries,
+                        beginning_of_pass_write_index: Some(first),
+                        end_of_pass_write_index: Some(first + 1),
+                    })
+                })?;
+                encoder.resolve_query_set(&queries, 0..2 * names.len() as u32, &resolved, 0);
+                Ok(())
+            })?;
+            let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&self.read(&resolved)?);
+            let mut sums: BTreeMap<&'static str, f64> = BTreeMap::new();
+            for (k, name) in names.iter().enumerate() {
+                let elapsed = ticks[2 * k + 1].saturating_sub(ticks[2 * k]) as f64;
+                *sums.entry(name).or_default() += elapsed * f64::from(queue.get_timestamp_period()) * 1e-9;
+            }
+            for (name, seconds) in sums {
+                samples.entry(name).or_default().push(seconds);
+            }
+        }
+        let work = Work::of(workspace, section, settings);
+        Ok(PASSES
+            .iter()
+            .filter_map(|pass| {
+                let (bytes, flops) = work.of_pass(pass.shader.name);
+                let median_ms = Times::of(samples.remove(pass.shader.name)?).median_ms;
+                let share = bytes as f64 / (median_ms * 1e-3) / self.copy_bytes_per_s;
+                let row = PassRow {
+                    name: pass.shader.name,
+                    median_ms,
+                    bytes,
+                    flops,
+                    share_of_copy_bandwidth: share,
+                };
+                // A pass without work is not a pass that is fast.
+                (bytes > 0).then_some(row)
+            })
+            .collect())
+    }
+}
+
+/// What the passes of a fit have to do.
+struct Work {
+    points: u64,
+    /// Those in faces that several invocations share, and those in faces that a workgroup takes alone.
+    short: u64,
+    long: u64,
+    faces: u64,
+    nodes: u64,
+    iterations: u64,
+}
+
+impl Work {
+    fn of(workspace: &Workspace, section: &Section<f32>, settings: &Settings) -> Self {
+        let job = workspace.job();
+        let groups = group(section, &Tube::new(settings));
+        let counts = groups.offsets.windows(2).map(|w| w[1] - w[0]);
+        let long: u64 = counts.filter(|&n| n > job.short_most).map(u64::from).sum();
+        let points = section.len() as u64;
+        Self {
+            points,
+            short: points - long,
+            long,
+            faces: u64::from(job.faces),
+            nodes: u64::from(job.node_count),
+            iterations: u64::from(settings.iterations),
+        }
+    }
+
+    /// Bytes and floating-point operations of a pass over a fit.
+    fn of_pass(&self, pass: &str) -> (u64, u64) {
+        let Self { points, short, long, faces, nodes, iterations } = *self;
+        match pass {
+            "bin" => ((8 + 8) * points + 4 * faces, 0),
+            "scan_reduce" | "classify" => (4 * faces, 0),
+            "scan_downsweep" => (8 * faces, 0),
+            "scatter" => ((12 + 8 + 12) * points + 4 * faces, 0),
+            "measure_short" if short > 0 => {
+                (iterations * (12 * short + (4 + 24) * faces + 4 * nodes), iterations * 250 * short)
+            }
+            // Keys are written once and read once a round: four rounds and the sums.
+            "measure_long" => (iterations * (12 + 4 + 5 * 4) * long, iterations * 250 * long),
+            "fill_bottom" | "fill_top" => (iterations * (12 + 4) * faces, 0),
+            "update" => (iterations * (8 * faces + 8 * nodes), 0),
+            "support" => (24 * faces + 8 * nodes, 0),
+            _ => (0, 0),
+        }
+    }
+}

@@ -1,0 +1,314 @@
+//! How fast the engines are: the same work on the CPU and on a device, checked before it is timed.
+//!
+//! Times are medians with their spread; upload, passes, readback and the whole are told apart. A device's bytes
+//! per pass are counted from what it must read and write and set against the copy bandwidth that the same
+//! process measures.
+
+#[cfg(feature = "gpu")]
+pub mod device;
+mod sweep;
+
+pub use sweep::{SweepCase, SweepDeviceRow, SweepPassRow, SweepRow, run_sweep};
+
+use crate::cylinders::fit::passes::Section;
+use crate::cylinders::fit::{CpuEngine, DeformedTube, Engine};
+use crate::settings::Settings;
+use crate::{Error, Result};
+use rand::{RngExt, SeedableRng};
+use serde::Serialize;
+use std::fmt;
+use std::str::FromStr;
+use std::time::Instant;
+
+/// The radius of the tube that is fitted, mm.
+const RADIUS_MM: f64 = 12.0;
+
+/// How the points lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Spread {
+    /// All over the tube.
+    Even,
+    /// All in 1 % of the faces.
+    Crowded,
+    /// In one half of the faces.
+    Half,
+}
+
+/// One size of work: `512x512x1e6`, optionally `:crowded` or `:half`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Case {
+    /// N.
+    pub nodes: u32,
+    /// L.
+    pub levels: u32,
+    /// Number of points.
+    pub points: usize,
+    /// How they lie.
+    pub spread: Spread,
+}
+
+impl FromStr for Case {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (size, spread) = match text.split_once(':') {
+            None => (text, Spread::Even),
+            Some((size, "crowded")) => (size, Spread::Crowded),
+            Some((size, "half")) => (size, Spread::Half),
+            Some((_, other)) => return Err(format!("found {other:?}, expected crowded or half")),
+        };
+        let parts: Vec<&str> = size.split('x').collect();
+        let [nodes, levels, points] = parts[..] else {
+            return Err(format!("found {text:?}, expected NODESxLEVELSxPOINTS such as 12x5x1e4"));
+        };
+        let number = |part: &str| {
+            let value: f64 = part.parse().map_err(|_| format!("{part:?} is not a number"))?;
+            let whole = value.fract() == 0.0 && (1.0..=4e9).contains(&value);
+            whole.then_some(value).ok_or_else(|| format!("{part:?} is not a whole number from 1 to 4e9"))
+        };
+        Ok(Self {
+            nodes: number(nodes)? as u32,
+            levels: number(levels)? as u32,
+            points: number(points)? as usize,
+            spread,
+        })
+    }
+}
+
+impl fmt::Display for Case {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{}x{} {:.0e}", self.nodes, self.levels, self.points as f64)?;
+        match self.spread {
+            Spread::Even => Ok(()),
+            Spread::Crowded => write!(f, " crowded"),
+            Spread::Half => write!(f, " half"),
+        }
+    }
+}
+
+impl Case {
+    /// The settings of the case: three iterations, the rest as published.
+    pub fn settings(&self) -> Settings {
+        Settings { nodes: self.nodes, levels: self.levels, ..Settings::default() }
+    }
+
+    /// Points on a wavy wall with a noise of 0.5 mm and 2 % outliers of 5 mm, the same for the same seed.
+    pub fn section(&self, seed: u64) -> Section<f32> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let height = Settings::default().height_mm;
+        let (z_share, theta_share) = match self.spread {
+            Spread::Even => (1.0, 1.0),
+            Spread::Crowded => (0.1, 0.1),
+            Spread::Half => (1.0, 0.5),
+        };
+        let mut section = Section::default();
+        for _ in 0..self.points {
+            let theta = rng.random_range(0.0..std::f64::consts::TAU) * theta_share;
+            let z = (rng.random_range(0.0..1.0) * z_share - 0.5) * height;
+            let noise: f64 = rng.sample(rand_distr::StandardNormal);
+            let mut r = RADIUS_MM * (1.1 + 0.05 * (2.0 * theta).sin() + 0.05 * f64::sin(z)) + 0.5 * noise;
+            if rng.random_bool(0.02) {
+                let outlier: f64 = rng.sample(rand_distr::StandardNormal);
+                r += 5.0 * outlier;
+            }
+            section.r.push(r.abs() as f32);
+            section.theta.push(theta as f32);
+            section.z.push(z as f32);
+        }
+        section
+    }
+}
+
+/// Some times in ms.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Times {
+    /// Median.
+    pub median_ms: f64,
+    /// Shortest.
+    pub min_ms: f64,
+    /// Longest.
+    pub max_ms: f64,
+}
+
+impl Times {
+    fn of(mut seconds: Vec<f64>) -> Self {
+        seconds.sort_by(f64::total_cmp);
+        let at = |i: usize| seconds.get(i).copied().unwrap_or(f64::NAN) * 1e3;
+        Self { median_ms: at(seconds.len() / 2), min_ms: at(0), max_ms: at(seconds.len().saturating_sub(1)) }
+    }
+
+    /// The times of some repeats of some work.
+    ///
+    /// # Errors
+    /// The work's.
+    pub fn measure<R>(repeats: usize, mut work: impl FnMut() -> Result<R>) -> Result<Self> {
+        let mut seconds = Vec::with_capacity(repeats);
+        for _ in 0..repeats.max(1) {
+            let start = Instant::now();
+            let done = work()?;
+            seconds.push(start.elapsed().as_secs_f64());
+            drop(done);
+        }
+        Ok(Self::of(seconds))
+    }
+}
+
+/// What a case takes on the CPU.
+#[derive(Debug, Clone, Serialize)]
+pub struct CpuRow {
+    /// The whole fit on one thread.
+    pub one_thread: Times,
+    /// The whole fit on all threads.
+    pub all_threads: Times,
+    /// How many those are.
+    pub threads: usize,
+}
+
+/// What a case takes on the device.
+#[derive(Debug, Clone, Serialize)]
+pub struct DeviceRow {
+    /// Host slices in, tube out.
+    pub end_to_end: Times,
+    /// The points' way to the device.
+    pub upload: Times,
+    /// All passes, points resident, until the device is done.
+    pub resident: Times,
+    /// The radii's way back.
+    pub readback: Times,
+    /// Each pass, timed on the device, as the sum over a fit; absent where the device has no timestamps.
+    pub passes: Vec<PassRow>,
+}
+
+/// What a pass takes in a whole fit.
+#[derive(Debug, Clone, Serialize)]
+pub struct PassRow {
+    /// The pass.
+    pub name: &'static str,
+    /// Median of its device time over a fit, ms.
+    pub median_ms: f64,
+    /// Bytes that it must read and write in a fit, each input once and each output once.
+    pub bytes: u64,
+    /// Floating-point operations in a fit: 250 for each distance; what the other passes do is not counted.
+    pub flops: u64,
+    /// Those bytes per second over the copy bandwidth measured in this process.
+    pub share_of_copy_bandwidth: f64,
+}
+
+/// A case on all engines.
+#[derive(Debug, Clone, Serialize)]
+pub struct Row {
+    /// The case.
+    pub case: Case,
+    /// On the CPU.
+    pub cpu: CpuRow,
+    /// On the device, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub device: Option<DeviceRow>,
+    /// How the results were compared before anything was timed.
+    pub parity: Parity,
+}
+
+/// How far two engines' results lie apart.
+#[derive(Debug, Clone, Serialize)]
+pub struct Parity {
+    /// The two engines.
+    pub engines: [String; 2],
+    /// Nodes whose radii differ in any bit.
+    pub differing: usize,
+    /// Nodes.
+    pub nodes: usize,
+    /// Median of |Δr| over all nodes, mm.
+    pub median_mm: f64,
+    /// 99th percentile of |Δr|, mm.
+    pub p99_mm: f64,
+}
+
+impl Parity {
+    /// Most of |Δr|'s median, mm: single decisions may fall the other way on a boundary, most must not.
+    const MOST_MEDIAN_MM: f64 = 1e-4;
+
+    /// Compares two results.
+    ///
+    /// # Errors
+    /// [`Error::Surface`] where they did not see the same points or their median difference is too large.
+    pub fn check(names: [&str; 2], a: &DeformedTube, b: &DeformedTube) -> Result<Self> {
+        if a.points != b.points {
+            return Self::fail(names, "points", b.points.to_string(), a.points.to_string());
+        }
+        Self::of(names, &a.radii_mm, &b.radii_mm)
+    }
+
+    fn fail<R>(names: [&str; 2], what: &str, found: String, expected: String) -> Result<R> {
+        Err(Error::Surface { what: format!("{} against {}: {what}", names[0], names[1]), found, expected })
+    }
+
+    /// Compares the radii of two results, mm.
+    ///
+    /// # Errors
+    /// [`Error::Surface`] where these are not of the same nodes or their median difference is too large.
+    pub fn of(names: [&str; 2], a: &[f64], b: &[f64]) -> Result<Self> {
+        if a.len() != b.len() {
+            return Self::fail(names, "nodes", b.len().to_string(), a.len().to_string());
+        }
+        let mut apart: Vec<f64> = a.iter().zip(b).map(|(p, q)| (p - q).abs()).collect();
+        apart.sort_by(f64::total_cmp);
+        let rank = |share: f64| apart[((apart.len() - 1) as f64 * share) as usize];
+        let parity = Self {
+            engines: names.map(str::to_owned),
+            differing: apart.iter().filter(|d| **d != 0.0).count(),
+            nodes: apart.len(),
+            median_mm: rank(0.5),
+            p99_mm: rank(0.99),
+        };
+        // A NaN fails too.
+        if parity.median_mm <= Self::MOST_MEDIAN_MM {
+            Ok(parity)
+        } else {
+            let limit = format!("at most {} mm", Self::MOST_MEDIAN_MM);
+            Self::fail(names, "median difference of the radii", format!("{} mm", parity.median_mm), limit)
+        }
+    }
+}
+
+/// Times a case: the CPU against its f64 reference, and the device against the CPU.
+///
+/// # Errors
+/// Where two engines disagree, or one fails. No time is taken then.
+pub fn run(
+    case: Case,
+    repeats: usize,
+    #[cfg(feature = "gpu")] device: Option<&device::Device>,
+) -> Result<Row> {
+    let settings = case.settings();
+    settings.validate()?;
+    let section = case.section(1);
+    let cpu = CpuEngine::<f32>::new();
+    let fit = || cpu.fit_section(&section, RADIUS_MM, &settings);
+    let expected = fit()?;
+    #[cfg(feature = "gpu")]
+    let (parity, device) = match device {
+        Some(device) => {
+            let found = device.engine.fit_section(&section, RADIUS_MM, &settings)?;
+            let parity = Parity::check(["cpu", "gpu"], &expected, &found)?;
+            (parity, Some(device.time(&section, &settings, repeats)?))
+        }
+        None => (against_reference(&section, &settings, &expected)?, None),
+    };
+    #[cfg(not(feature = "gpu"))]
+    let (parity, device) = (against_reference(&section, &settings, &expected)?, None);
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+    let one =
+        one.map_err(|e| Error::Setting { name: "threads", found: e.to_string(), expected: "1".into() })?;
+    let cpu_row = CpuRow {
+        one_thread: one.install(|| Times::measure(repeats, fit))?,
+        all_threads: Times::measure(repeats, fit)?,
+        threads: rayon::current_num_threads(),
+    };
+    Ok(Row { case, cpu: cpu_row, device, parity })
+}
+
+fn against_reference(section: &Section<f32>, settings: &Settings, found: &DeformedTube) -> Result<Parity> {
+    let reference = CpuEngine::<f64>::new().fit_section(section, RADIUS_MM, settings)?;
+    Parity::check(["reference", "cpu"], &reference, found)
+}

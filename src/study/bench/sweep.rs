@@ -1,0 +1,160 @@
+//! The sweep's wall fit on the CPU and on a device.
+
+use super::{Parity, RADIUS_MM, Times};
+use crate::Result;
+use crate::geometry::Pose;
+use crate::recording::{Frame, Recording};
+use crate::settings::{Backend, Settings, Sweep as SweepSettings};
+use crate::sweep::Sweep;
+use glam::{DQuat, DVec2, DVec3};
+use rand::{RngExt, SeedableRng};
+use serde::Serialize;
+use std::f64::consts::TAU;
+use std::fmt;
+use std::str::FromStr;
+
+/// How long the vessel is, mm.
+const LENGTH_MM: f64 = 500.0;
+/// Most rays of a frame.
+const MOST_RAYS: usize = 512;
+
+/// One size of a sweep: `512x1e6`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SweepCase {
+    /// N: nodes a ring.
+    pub nodes: u32,
+    /// Number of echoes, but for what is left of the last frame.
+    pub echoes: usize,
+}
+
+impl FromStr for SweepCase {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let Some((nodes, echoes)) = text.split_once('x') else {
+            return Err(format!("found {text:?}, expected NODESxECHOES such as 512x1e6"));
+        };
+        let number = |part: &str, range: std::ops::RangeInclusive<f64>| {
+            let value: f64 = part.parse().map_err(|_| format!("{part:?} is not a number"))?;
+            let whole = value.fract() == 0.0 && range.contains(&value);
+            let (low, high) = range.into_inner();
+            whole
+                .then_some(value)
+                .ok_or_else(|| format!("{part:?} is no whole number from {low} to {high:e}"))
+        };
+        Ok(Self { nodes: number(nodes, 8.0..=8192.0)? as u32, echoes: number(echoes, 1e4..=1e9)? as usize })
+    }
+}
+
+impl fmt::Display for SweepCase {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "sweep, {} nodes a ring, {:.0e} echoes", self.nodes, self.echoes as f64)
+    }
+}
+
+impl SweepCase {
+    /// A pullback through a wavy, winding vessel with a noise of 0.5 mm, the same for the same seed.
+    pub fn recording(&self, seed: u64) -> Recording {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let rays = (self.nodes as usize).min(MOST_RAYS);
+        let count = self.echoes / rays;
+        let curve = |s: f64| DVec3::new(s, 15.0 * (s / 70.0).sin(), 15.0 * (s / 90.0).cos());
+        let mut frame = |k: usize| {
+            let s = LENGTH_MM * k as f64 / count as f64;
+            let along = (curve(s + 0.5) - curve(s - 0.5)).normalize();
+            let contour_mm = (0..rays).map(|ray| {
+                let angle = TAU * ray as f64 / rays as f64;
+                let noise: f64 = rng.sample(rand_distr::StandardNormal);
+                let wave = 1.0 + 0.08 * (2.0 * angle).cos() + 0.06 * (s / 9.0).sin();
+                DVec2::from_angle(angle) * (RADIUS_MM * wave + 0.5 * noise)
+            });
+            Frame {
+                world_from_sensor: Pose::from_quaternion(curve(s), DQuat::from_rotation_arc(DVec3::Z, along)),
+                time_s: None,
+                contour_mm: contour_mm.collect(),
+                cylinder: None,
+            }
+        };
+        Recording { frames: (0..count).map(&mut frame).collect() }
+    }
+
+    /// The settings of the case.
+    pub fn settings(&self) -> Settings {
+        let sweep = SweepSettings { nodes: Some(self.nodes), ..SweepSettings::default() };
+        Settings { backend: Backend::Cpu, sweep, ..Settings::default() }
+    }
+}
+
+/// What fitting a wall takes.
+#[derive(Debug, Clone, Serialize)]
+pub struct SweepRow {
+    /// The case.
+    pub case: SweepCase,
+    /// Rings of the wall.
+    pub rings: usize,
+    /// Robust reweightings, and steps of the solver in all of them.
+    pub iterations: usize,
+    /// Steps of the solver.
+    pub solver_steps: usize,
+    /// Fitting the wall on the CPU, in f64, once.
+    pub cpu_ms: f64,
+    /// The same on the device, where there is one, with the echoes' way there and back.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub device: Option<SweepDeviceRow>,
+}
+
+/// What fitting a wall takes on a device.
+#[derive(Debug, Clone, Serialize)]
+pub struct SweepDeviceRow {
+    /// The whole fit.
+    pub fit: Times,
+    /// How the walls were compared before.
+    pub parity: Parity,
+    /// Device time of each pass over a fit, ms; absent where the device has no timestamps.
+    pub passes: Vec<SweepPassRow>,
+}
+
+/// What a pass takes in a whole fit.
+#[derive(Debug, Clone, Serialize)]
+pub struct SweepPassRow {
+    /// The pass.
+    pub name: &'static str,
+    /// Its device time over a fit, ms.
+    pub ms: f64,
+}
+
+/// Times a sweep's wall: the device against the CPU, after both have given the same wall.
+///
+/// # Errors
+/// Where the two disagree, or one fails.
+pub fn run_sweep(
+    case: SweepCase,
+    repeats: usize,
+    #[cfg(feature = "gpu")] device: Option<&crate::sweep::wall::gpu::SweepEngine>,
+) -> Result<SweepRow> {
+    let (recording, settings) = (case.recording(1), case.settings());
+    let expected = Sweep::of(&recording, &settings)?;
+    let mut row = SweepRow {
+        case,
+        rings: expected.report.rings,
+        iterations: expected.report.iterations,
+        solver_steps: expected.report.solver_steps,
+        cpu_ms: expected.report.seconds.fit * 1e3,
+        device: None,
+    };
+    #[cfg(feature = "gpu")]
+    if let Some(engine) = device {
+        engine.warm_up()?;
+        let found = Sweep::on_device(&recording, &settings, engine)?;
+        let parity = Parity::of(["cpu", "gpu"], &expected.radii_mm, &found.radii_mm)?;
+        let seconds = (0..repeats.max(1))
+            .map(|_| Ok(Sweep::on_device(&recording, &settings, engine)?.report.seconds.fit))
+            .collect::<Result<Vec<f64>>>()?;
+        let (_, passes) = engine.timed(|engine| Sweep::on_device(&recording, &settings, engine))?;
+        let passes = passes.into_iter().map(|(name, seconds)| SweepPassRow { name, ms: seconds * 1e3 });
+        row.device = Some(SweepDeviceRow { fit: Times::of(seconds), parity, passes: passes.collect() });
+    }
+    #[cfg(not(feature = "gpu"))]
+    let _ = (&mut row, repeats);
+    Ok(row)
+}

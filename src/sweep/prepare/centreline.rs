@@ -1,0 +1,251 @@
+//! The vessel's centreline, from the contours' centres.
+//!
+//! A catheter that stops, circles and goes back draws a tangle of frames, but the centres of its contours stay near
+//! the vessel's axis. So: the centres are gathered into clusters, the clusters joined where they touch, the longest of
+//! all shortest paths taken, and a penalised smooth curve drawn through the centres along it.
+
+use crate::numerics::banded::Pentadiagonal;
+use glam::DVec3;
+
+/// Clusters within so many cluster radii of each other touch.
+const TOUCH: f64 = 1.7;
+/// Centreline nodes per median lumen radius.
+pub(in crate::sweep) const NODES_PER_RADIUS: f64 = 4.0;
+/// Bends of the centres that are shorter than so many lumen radii are left to the wall.
+const SHORTEST_BEND_RADII: f64 = 2.0;
+/// λ of the curve: the wavelength at which one with a centre a node loses a fifth of its amplitude.
+pub(in crate::sweep) const SMOOTHNESS: f64 = {
+    let wavelength = SHORTEST_BEND_RADII * NODES_PER_RADIUS / std::f64::consts::TAU;
+    let square = wavelength * wavelength;
+    4.0 * (square * square)
+};
+/// How often centres are projected on the curve and the curve drawn anew.
+const ROUNDS: usize = 4;
+/// Robust reweightings in each round.
+const REWEIGHTINGS: usize = 5;
+
+/// A smooth curve through `centres_mm`, as points at equal steps of its length up to a percent; `None` where
+/// the centres cover no length. `radius_mm` is the lumen's, and the scale of all that is done.
+pub(in crate::sweep) fn centreline(centres_mm: &[DVec3], radius_mm: f64) -> Option<Vec<DVec3>> {
+    let mut curve = principal_path(centres_mm, radius_mm);
+    if curve.len() < 2 {
+        return None;
+    }
+    for _ in 0..ROUNDS {
+        curve = smoothed(&resampled(&curve, radius_mm / NODES_PER_RADIUS), centres_mm, radius_mm)?;
+    }
+    Some(curve)
+}
+
+/// The longest of the shortest paths between clusters of centres, starting at the end nearer to the first centre.
+fn principal_path(centres: &[DVec3], radius: f64) -> Vec<DVec3> {
+    let (clusters, of_centre) = clusters(centres, radius);
+    let count = clusters.len();
+    // A catheter moves on without jumps: clusters of successive frames are joined however far apart they are.
+    let mut neighbours: Vec<Vec<usize>> = (0..count)
+        .map(|a| {
+            (0..count).filter(|&b| b != a && clusters[a].distance(clusters[b]) < TOUCH * radius).collect()
+        })
+        .collect();
+    for pair in of_centre.windows(2) {
+        if pair[0] != pair[1] {
+            neighbours[pair[0]].push(pair[1]);
+            neighbours[pair[1]].push(pair[0]);
+        }
+    }
+    let farthest = |distances: &[f64]| {
+        (0..count).fold(0, |best, k| if distances[k] > distances[best] { k } else { best })
+    };
+    let one_end = farthest(&shortest_paths(&clusters, &neighbours, 0).0);
+    let (distances, before) = shortest_paths(&clusters, &neighbours, one_end);
+    let mut path = vec![farthest(&distances)];
+    while let Some(previous) = path.last().and_then(|&k| before[k]) {
+        path.push(previous);
+    }
+    let start = centres[0];
+    let ends = [path[0], path[path.len() - 1]].map(|k| clusters[k].distance_squared(start));
+    if ends[1] < ends[0] {
+        path.reverse();
+    }
+    path.into_iter().map(|k| clusters[k]).collect()
+}
+
+/// Centres gathered by the first of them that is within `radius`: the clusters' means, and each centre's cluster.
+fn clusters(centres: &[DVec3], radius: f64) -> (Vec<DVec3>, Vec<usize>) {
+    let (mut seeds, mut sums): (Vec<DVec3>, Vec<(DVec3, f64)>) = Default::default();
+    let mut of_centre = Vec::with_capacity(centres.len());
+    for &centre in centres {
+        let nearest = (0..seeds.len())
+            .min_by(|&a, &b| centre.distance_squared(seeds[a]).total_cmp(&centre.distance_squared(seeds[b])))
+            .filter(|&k| centre.distance(seeds[k]) < radius);
+        let cluster = nearest.unwrap_or_else(|| {
+            seeds.push(centre);
+            sums.push((DVec3::ZERO, 0.0));
+            seeds.len() - 1
+        });
+        sums[cluster].0 += centre;
+        sums[cluster].1 += 1.0;
+        of_centre.push(cluster);
+    }
+    (sums.into_iter().map(|(sum, n)| sum / n).collect(), of_centre)
+}
+
+/// Dijkstra's algorithm: distances from `start`, and the cluster before each one on its way.
+fn shortest_paths(
+    clusters: &[DVec3],
+    neighbours: &[Vec<usize>],
+    start: usize,
+) -> (Vec<f64>, Vec<Option<usize>>) {
+    let count = clusters.len();
+    let (mut distance, mut before) = (vec![f64::INFINITY; count], vec![None; count]);
+    let mut settled = vec![false; count];
+    distance[start] = 0.0;
+    while let Some(here) = (0..count)
+        .filter(|&k| !settled[k] && distance[k] < f64::INFINITY)
+        .min_by(|&a, &b| distance[a].total_cmp(&distance[b]))
+    {
+        settled[here] = true;
+        for &next in &neighbours[here] {
+            let through = distance[here] + clusters[here].distance(clusters[next]);
+            if through < distance[next] {
+                distance[next] = through;
+                before[next] = Some(here);
+            }
+        }
+    }
+    (distance, before)
+}
+
+/// Points of a polyline at equal steps of its length, about `step` apart, both ends among them.
+pub(in crate::sweep) fn resampled(curve: &[DVec3], step: f64) -> Vec<DVec3> {
+    let lengths = lengths(curve);
+    let total = lengths[lengths.len() - 1];
+    let count = ((total / step).ceil() as usize).max(2);
+    let mut segment = 0;
+    (0..=count)
+        .map(|i| {
+            let s = total * i as f64 / count as f64;
+            while segment + 2 < curve.len() && lengths[segment + 1] < s {
+                segment += 1;
+            }
+            let span = lengths[segment + 1] - lengths[segment];
+            let share = if span > 0.0 { (s - lengths[segment]) / span } else { 0.0 };
+            curve[segment].lerp(curve[segment + 1], share.clamp(0.0, 1.0))
+        })
+        .collect()
+}
+
+/// Length of a polyline up to each of its points.
+pub(in crate::sweep) fn lengths(curve: &[DVec3]) -> Vec<f64> {
+    let mut lengths = vec![0.0; curve.len()];
+    for i in 1..curve.len() {
+        lengths[i] = lengths[i - 1] + curve[i].distance(curve[i - 1]);
+    }
+    lengths
+}
+
+/// The curve c that minimises `Σ wᵢ|pᵢ - c(sᵢ)|² + λ Σ|c'' |²`, sᵢ being where the curve so far is nearest to centre pᵢ.
+///
+/// Weights even out the time that the catheter spent at each place, and lower centres far off (Cauchy).
+fn smoothed(curve: &[DVec3], centres: &[DVec3], radius: f64) -> Option<Vec<DVec3>> {
+    let lengths = lengths(curve);
+    let stations: Vec<f64> = centres.iter().map(|&p| station(curve, &lengths, p)).collect();
+    let low = stations.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = stations.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let length = high - low;
+    let nodes = (length * NODES_PER_RADIUS / radius).ceil() as usize + 1;
+    if !length.is_finite() || nodes < 5 {
+        return None;
+    }
+    let step = length / (nodes - 1) as f64;
+    let places: Vec<(usize, f64)> = stations
+        .iter()
+        .map(|s| {
+            let u = (s - low) / step;
+            let node = (u as usize).min(nodes - 2);
+            (node, u - node as f64)
+        })
+        .collect();
+    let nearest = |&(node, share): &(usize, f64)| node + usize::from(share >= 0.5);
+    let mut here = vec![0.0; nodes];
+    places.iter().for_each(|place| here[nearest(place)] += 1.0);
+
+    let mut weights = vec![1.0; centres.len()];
+    let mut nodes_mm = Vec::new();
+    for _ in 0..REWEIGHTINGS {
+        let mut equations = Pentadiagonal::second_differences(nodes, SMOOTHNESS);
+        let mut right = vec![DVec3::ZERO; nodes];
+        for ((place, &centre), weight) in places.iter().zip(centres).zip(&weights) {
+            let (node, share) = *place;
+            let w = weight / here[nearest(place)];
+            equations.add_pair(node, w, [1.0 - share, share]);
+            right[node] += centre * (w * (1.0 - share));
+            right[node + 1] += centre * (w * share);
+        }
+        nodes_mm = equations.factored()?.solve(right);
+        let misses: Vec<f64> = places
+            .iter()
+            .zip(centres)
+            .map(|(&(node, share), p)| p.distance(nodes_mm[node].lerp(nodes_mm[node + 1], share)))
+            .collect();
+        let scale = 1.5 * crate::sweep::median(&mut misses.clone()) + 1e-9 * radius;
+        weights = misses.iter().map(|miss| (miss / scale).max(1.0).powi(-2)).collect();
+    }
+    Some(nodes_mm)
+}
+
+/// Where along a polyline a point is nearest; beyond its ends the end segments are prolonged.
+fn station(curve: &[DVec3], lengths: &[f64], point: DVec3) -> f64 {
+    let last = curve.len() - 2;
+    let (mut best, mut station) = (f64::INFINITY, 0.0);
+    for (k, pair) in curve.windows(2).enumerate() {
+        let along = pair[1] - pair[0];
+        let low = if k == 0 { f64::NEG_INFINITY } else { 0.0 };
+        let high = if k == last { f64::INFINITY } else { 1.0 };
+        let share =
+            ((point - pair[0]).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(low, high);
+        let distance = point.distance_squared(pair[0] + along * share);
+        if distance < best {
+            best = distance;
+            station = lengths[k] + share * along.length();
+        }
+    }
+    station
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tangle_of_centres_is_drawn_as_one_curve() {
+        // Half a circle of radius 40, walked forth, half way back and forth again, with a rest and with scatter.
+        let angle = |step: usize| match step {
+            0..200 => step as f64 / 200.0 * 2.0,
+            200..300 => 2.0,
+            300..400 => 2.0 - (step - 300) as f64 / 100.0,
+            _ => 1.0 + (step - 400) as f64 / 100.0,
+        };
+        let centres: Vec<DVec3> = (0..600)
+            .map(|step| {
+                let scatter = DVec3::new((step as f64 * 1.7).sin(), (step as f64 * 2.3).sin(), 0.0) * 0.5;
+                DVec3::new(angle(step).cos(), angle(step).sin(), 0.0) * 40.0 + scatter
+            })
+            .collect();
+        let curve = centreline(&centres, 8.0).unwrap();
+        let lengths = lengths(&curve);
+        let total = lengths[lengths.len() - 1];
+        assert!((total - 120.0).abs() < 2.0, "{total}");
+        assert!(curve.iter().all(|p| (p.length() - 40.0).abs() < 0.5));
+        assert!(curve[0].distance(centres[0]) < 1.0, "it starts where the catheter did");
+        let step = total / (curve.len() - 1) as f64;
+        assert!(lengths.windows(2).all(|pair| (pair[1] - pair[0] - step).abs() < 0.02 * step));
+    }
+
+    #[test]
+    fn centres_without_length_have_no_curve() {
+        assert!(centreline(&[DVec3::X], 8.0).is_none());
+        assert!(centreline(&[DVec3::X; 20], 8.0).is_none());
+        assert!(centreline(&[DVec3::X, DVec3::X * 3.0], 8.0).is_none());
+    }
+}

@@ -1,0 +1,222 @@
+//! What a single contour says: its points without wrong echoes, and whether radii about its centre can hold it.
+
+use crate::recording::Frame;
+use crate::sweep::median;
+use glam::DVec2;
+use std::f64::consts::TAU;
+
+/// The lumen as a frame's contour draws it, without wrong echoes and noise.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::sweep) struct Outline {
+    /// Centroid of its area in the probe's plane, mm.
+    pub centre_mm: DVec2,
+    /// Radius of the circle with its area, mm.
+    pub radius_mm: f64,
+    /// See [`folded_share`].
+    pub folded_share: f64,
+    /// See [`noise_mm`].
+    pub noise_mm: f64,
+}
+
+impl Outline {
+    /// `None` of a contour that goes round no area.
+    pub(in crate::sweep) fn of(frame: &Frame) -> Option<Self> {
+        let points = without_spikes(&frame.contour_mm);
+        let noise_mm = noise_mm(&points);
+        let outline = Frame { contour_mm: smoothed(&points, noise_mm), ..*frame };
+        let centre_mm = outline.centroid_mm()?;
+        let folded_share = folded_share(&outline.contour_mm, centre_mm);
+        let first = *outline.contour_mm.first()?;
+        let pairs = outline.contour_mm.windows(2).map(|pair| [pair[0] - first, pair[1] - first]);
+        let twice_area: f64 = pairs.map(|[a, b]| a.perp_dot(b)).sum();
+        Some(Self { centre_mm, radius_mm: (twice_area.abs() / TAU).sqrt(), folded_share, noise_mm })
+    }
+}
+
+/// Points on either side that a point is compared with: wrong echoes come alone or in twos and threes.
+const NEIGHBOURS: usize = 4;
+/// Points farther from the median of their neighbourhood than so many times what is usual are wrong echoes.
+const FARTHEST: f64 = 6.0;
+
+/// The echoes of a contour in ray order, without those far from the median of the points about them: one spike of the
+/// length of a probe's range moves the centroid of a small lumen by more than its radius.
+fn without_spikes(contour_mm: &[DVec2]) -> Vec<DVec2> {
+    let points: Vec<DVec2> = contour_mm.iter().copied().filter(|p| !p.is_nan()).collect();
+    let count = points.len();
+    if count <= 2 * NEIGHBOURS {
+        return points;
+    }
+    let mut window = [0.0; 2 * NEIGHBOURS + 1];
+    let mut middle = |i: usize, of: fn(DVec2) -> f64| {
+        for (k, value) in window.iter_mut().enumerate() {
+            *value = of(points[(i + count + k - NEIGHBOURS) % count]);
+        }
+        window.sort_unstable_by(f64::total_cmp);
+        window[NEIGHBOURS]
+    };
+    let misses: Vec<f64> =
+        (0..count).map(|i| points[i].distance(DVec2::new(middle(i, |p| p.x), middle(i, |p| p.y)))).collect();
+    // Where a contour bends, the median of 9 points of it is as far off as the contour is long between them.
+    let mut steps: Vec<f64> = (0..count).map(|i| points[i].distance(points[(i + 1) % count])).collect();
+    let most = FARTHEST * median(&mut misses.clone()) + NEIGHBOURS as f64 * median(&mut steps);
+    points.into_iter().zip(misses).filter(|(_, miss)| *miss <= most).map(|(p, _)| p).collect()
+}
+
+/// Folded shares up to this are borne: the carina of a bifurcation pokes past the centre of the contour about it.
+pub(in crate::sweep) const MOST_FOLDED: f64 = 0.2;
+
+/// Standard deviation of a closed contour's points in either direction, mm.
+///
+/// Fourth differences of noise have seventy times its variance; those of a smooth curve are next to nothing.
+fn noise_mm(points: &[DVec2]) -> f64 {
+    let count = points.len();
+    let around = |i: usize| points[i % count];
+    let mut bends: Vec<f64> = (0..count)
+        .map(|i| around(i) + around(i + 4) - (around(i + 1) + around(i + 3)) * 4.0 + around(i + 2) * 6.0)
+        .map(DVec2::length)
+        .collect();
+    // Of two normal numbers of variance one, the median length is 1.18.
+    median(&mut bends) / 1.18 / 70.0_f64.sqrt()
+}
+
+/// A closed contour without its noise: points averaged with as many neighbours as their noise asks for, none where there
+/// is none. Noise makes a contour of many points cross itself all along, and what it goes round has no centre.
+fn smoothed(points: &[DVec2], noise: f64) -> Vec<DVec2> {
+    let count = points.len();
+    if count < 3 {
+        return points.to_vec();
+    }
+    let around = |i: usize, offset: usize| points[(i + offset) % count];
+    // From point to point the mean of 2h + 1 points moves by noise·√2/(2h + 1); the contour, if it were a circle, by its
+    // length over the number of points. Let the former be a quarter of the latter.
+    let mean = points.iter().sum::<DVec2>() / count as f64;
+    let radius = (points.iter().map(|p| p.distance_squared(mean)).sum::<f64>() / count as f64).sqrt();
+    let step = radius * TAU / count as f64;
+    let width = 4.0 * 2.0_f64.sqrt() * noise / step.max(f64::MIN_POSITIVE);
+    let reach = ((width - 1.0) / 2.0).ceil().clamp(0.0, count as f64 / 8.0) as usize;
+    let width = (2 * reach + 1) as f64;
+    let window = |i: usize| (0..=2 * reach).map(move |k| around(i, count - reach + k));
+    // Such means of a circle's points lie on a circle that is smaller by this.
+    let half = TAU / count as f64 / 2.0;
+    let shrink = (width * half).sin() / (width * half.sin());
+    (0..count).map(|i| mean + (window(i).sum::<DVec2>() / width - mean) / shrink).collect()
+}
+
+/// By how much a contour turns back about its centroid: the area swept backwards by the ray from there to the contour,
+/// as a share of that swept forwards. 0 where the lumen is star-shaped about it: every ray from there meets the wall
+/// once.
+fn folded_share(contour_mm: &[DVec2], centroid_mm: DVec2) -> f64 {
+    let next = contour_mm.iter().cycle().skip(1);
+    let (mut forwards, mut backwards) = (0.0, 0.0);
+    for (a, b) in contour_mm.iter().zip(next) {
+        let area = (a - centroid_mm).perp_dot(b - centroid_mm);
+        if area > 0.0 { forwards += area } else { backwards -= area }
+    }
+    forwards.min(backwards) / forwards.max(backwards).max(f64::MIN_POSITIVE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    /// 120 points at `r(θ)`, each moved by noise.
+    fn contour(r: impl Fn(f64) -> f64, noise: f64) -> Vec<DVec2> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+        let mut shake =
+            || (rng.random::<f64>() + rng.random::<f64>() + rng.random::<f64>() - 1.5) * 2.0 * noise;
+        (0..120)
+            .map(|i| f64::from(i) / 120.0 * TAU)
+            .map(|a| DVec2::from_angle(a) * r(a) + DVec2::new(shake(), shake()))
+            .collect()
+    }
+
+    /// A lumen bent round the origin, from 2 to 3 mm away from it, over `angle` rad.
+    fn horseshoe(angle: f64) -> Vec<DVec2> {
+        let arc = |radius: f64, j: i32| DVec2::from_angle(f64::from(j) / 60.0 * angle) * radius;
+        (0..60).map(|j| arc(3.0, j)).chain((0..60).rev().map(|j| arc(2.0, j))).collect()
+    }
+
+    fn share(contour: &[DVec2]) -> f64 {
+        let frame = Frame {
+            world_from_sensor: crate::geometry::Pose::IDENTITY,
+            time_s: None,
+            contour_mm: contour.to_vec(),
+            cylinder: None,
+        };
+        Outline::of(&frame).unwrap().folded_share
+    }
+
+    #[test]
+    fn what_is_star_shaped_is_not_folded() {
+        let slit = |a: f64| 1.0 / (a.cos() / 3.5).hypot(a.sin() / 0.5);
+        let lobes = |a: f64| 3.0 + (3.0 * a).cos();
+        assert_eq!(share(&contour(|_| 3.0, 0.0)), 0.0);
+        assert_eq!(share(&contour(slit, 0.0)), 0.0);
+        assert_eq!(share(&contour(lobes, 0.0)), 0.0);
+        let mut reversed = contour(lobes, 0.0);
+        reversed.reverse();
+        assert_eq!(share(&reversed), 0.0);
+    }
+
+    #[test]
+    fn an_outline_keeps_centre_and_size() {
+        let away = DVec2::new(40.0, -7.0);
+        for noise in [0.0, 0.3, 1.0] {
+            let noisy: Vec<DVec2> = contour(|_| 3.0, noise).into_iter().map(|p| p + away).collect();
+            let outline = smoothed(&noisy, noise_mm(&noisy));
+            let radii: Vec<f64> = outline.iter().map(|p| p.distance(away)).collect();
+            let mean = radii.iter().sum::<f64>() / 120.0;
+            assert!((mean - 3.0).abs() < 0.01 + 0.3 * noise, "{noise}: {mean}");
+            let found = noise_mm(&noisy);
+            assert!((found - noise).abs() < 0.25 * noise + 0.01, "{noise}: {found}");
+            assert_eq!(noise == 0.0, outline.iter().zip(&noisy).all(|(a, b)| a.distance(*b) < 1e-12));
+        }
+    }
+
+    #[test]
+    fn noise_folds_no_contour() {
+        // Points 0.16 mm apart that noise moves by up to three times that.
+        for noise in [0.05, 0.2, 0.5] {
+            let share = share(&contour(|_| 3.0, noise));
+            assert!(share < MOST_FOLDED / 4.0, "{noise}: {share}");
+        }
+    }
+
+    #[test]
+    fn a_horseshoe_is_folded_whichever_way_it_is_drawn() {
+        for angle in [4.0, 5.0, 6.0] {
+            let mut contour = horseshoe(angle);
+            assert!(share(&contour) > MOST_FOLDED, "{angle}: {}", share(&contour));
+            contour.reverse();
+            assert!(share(&contour) > MOST_FOLDED, "{angle}");
+        }
+    }
+
+    #[test]
+    fn spikes_are_dropped_and_nothing_else() {
+        let slit = |a: f64| 1.0 / (a.cos() / 3.5).hypot(a.sin() / 0.5);
+        // The tips of a slit are steep.
+        for (clean, lost) in [(contour(|_| 3.0, 0.0), 0), (contour(|_| 3.0, 0.3), 1), (contour(slit, 0.0), 8)]
+        {
+            let kept = without_spikes(&clean);
+            assert!(kept.len() >= clean.len() - lost, "{}", kept.len());
+            let mut spiked = clean.clone();
+            for i in (0..120).step_by(12) {
+                spiked[i] *= 9.0;
+                spiked[i + 1] = DVec2::NAN;
+            }
+            let left = without_spikes(&spiked);
+            let far = left.iter().filter(|p| !clean.contains(p)).count();
+            assert!(far == 0 && left.len() >= 100 - lost, "{far} {}", left.len());
+        }
+        assert_eq!(without_spikes(&[DVec2::X, DVec2::NAN]), [DVec2::X]);
+    }
+
+    #[test]
+    fn too_few_points_fold_nowhere() {
+        assert_eq!(folded_share(&[], DVec2::ZERO), 0.0);
+        assert_eq!(folded_share(&smoothed(&[], 0.0), DVec2::ZERO), 0.0);
+        assert_eq!(folded_share(&smoothed(&[DVec2::X; 9], 0.0), DVec2::X), 0.0);
+    }
+}

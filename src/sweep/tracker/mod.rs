@@ -1,0 +1,303 @@
+//! What the tracker got wrong, as far as the echoes show it: an offset in time, and a small error of every pose.
+//!
+//! A wall fitted to the recorded poses comes first. About it wall and errors are one model ([`joint`]), whose
+//! errors are taken off the poses; echoes are placed anew and the wall is fitted on, as ever.
+
+mod joint;
+
+use crate::geometry::Pose;
+use crate::recording::Frame;
+use crate::sweep::prepare::axis::Axis;
+use crate::sweep::wall::echo::Echo;
+use crate::sweep::wall::grid::{Grid, Solver};
+use crate::sweep::wall::{self, Wall};
+use crate::{Error, Result, settings};
+use glam::{DMat3, DQuat, DVec3};
+use joint::{Eased, Joint, Levels, Motion, Offset, Twist, corrected, split};
+use serde::Serialize;
+
+/// The tracker's errors, as estimated, and what of them was taken off the poses.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct Tracker {
+    /// Standard deviation of a pose's shift along each axis, mm; a turn of so many degrees goes with it.
+    pub noise_mm: f64,
+    /// Root mean square length of the shifts that were taken off, mm; those along the vessel do not show and stay.
+    pub shift_mm: f64,
+    /// Root mean square angle of the turns that were taken off, degrees.
+    pub turn_deg: f64,
+    /// How much older than its contour a pose is, s; `None` where it was not asked for.
+    pub offset_s: Option<f64>,
+    /// Standard error of that, s.
+    pub offset_standard_error_s: Option<f64>,
+    /// Whether the offset was corrected: it is left at nought within three standard errors.
+    pub offset_corrected: bool,
+    /// Steps of the solver.
+    pub solver_steps: usize,
+}
+
+/// Rounds of linearisation; with an offset they go on until a step is below this share of its standard error.
+const LEAST_ROUNDS: usize = 2;
+const MOST_ROUNDS: usize = 6;
+const ENOUGH_ERRORS: f64 = 0.3;
+/// Steps for the offset are taken to be too short by at most this factor.
+const LEAST_FACTOR: f64 = 0.2;
+/// Fits in a round, each with the levels that the one before it left.
+const FITS: usize = 4;
+/// The first guess at the poses' noise, as a share of the echoes'.
+const START_SHARE: f64 = 0.3;
+/// An offset counts where it is beyond so many standard errors.
+const SIGNIFICANT: f64 = 3.0;
+/// Velocities are slopes over the frames that are at most so long before and after, and over one frame each way at
+/// the least. Noise of 0.3 mm at 12 frames a second makes 0.3 mm/s over that time, a tenth of a catheter's speed; from
+/// one frame to the next it would make 2.5.
+const VELOCITY_WINDOW_S: f64 = 0.5;
+/// Share of the noise's variance across the image plane when errors of the pose are not part of it. The contours' own
+/// noise lies within the plane; the share keeps a wall that runs along the plane from getting all the weight.
+const OUT_OF_PLANE: f64 = 0.02;
+/// Feet settle on a wall within so many steps.
+const FOOT_STEPS: usize = 3;
+
+/// A recording about its axis, whose poses can be moved.
+pub(in crate::sweep) struct Scene<'a> {
+    pub grid: &'a Grid,
+    pub axis: &'a Axis,
+    pub frames: &'a [Frame],
+    /// The echoes about the axis for other poses of the sensor.
+    pub place: &'a dyn Fn(&[Pose]) -> Vec<Echo>,
+}
+
+impl Tracker {
+    /// Estimates the errors that `settings` ask for, and moves echoes and wall to where they are without them.
+    pub(in crate::sweep) fn correct(
+        scene: &Scene,
+        settings: &settings::Sweep,
+        echoes: &mut Vec<Echo>,
+        wall: &mut Wall,
+    ) -> Result<Self> {
+        let Scene { grid, frames, .. } = *scene;
+        let work = Work { scene, solver: Solver::new(*grid), roughness: settings.roughness };
+        let mut sensors: Vec<Pose> = frames.iter().map(|f| f.world_from_sensor).collect();
+        let mut report = Self::default();
+        if settings.estimate_offset {
+            let motions = motions(frames)?;
+            let found = work.estimate(&sensors, Some(&motions), echoes.clone(), wall.clone());
+            let Offset { seconds, standard_error_s } = found.offset;
+            report.noise_mm = found.shift_sd_mm;
+            report.solver_steps += found.solver_steps;
+            report.offset_s = Some(seconds);
+            report.offset_standard_error_s = Some(standard_error_s);
+            report.offset_corrected = seconds.abs() > SIGNIFICANT * standard_error_s;
+            if report.offset_corrected {
+                sensors = moved(&sensors, &motions, seconds);
+                *echoes = (scene.place)(&sensors);
+                work.settle(echoes, wall);
+                *wall = wall::refit(grid, echoes, settings.roughness, wall.clone())?;
+            }
+        }
+        if settings.correct_poses {
+            let found = work.estimate(&sensors, None, std::mem::take(echoes), wall.clone());
+            *echoes = found.echoes;
+            *wall = wall::refit(grid, echoes, settings.roughness, found.wall)?;
+            let parts: Vec<_> = found.errors.iter().map(|e| split(e, grid.radius_mm())).collect();
+            let rms = |of: fn(&(DVec3, DVec3)) -> f64| {
+                (parts.iter().map(of).sum::<f64>() / parts.len().max(1) as f64).sqrt()
+            };
+            report.noise_mm = found.shift_sd_mm;
+            report.solver_steps += found.solver_steps;
+            report.shift_mm = rms(|(shift, _)| shift.length_squared());
+            report.turn_deg = rms(|(_, turn)| turn.length_squared()).to_degrees();
+        }
+        Ok(report)
+    }
+}
+
+/// What works on a scene.
+struct Work<'a> {
+    scene: &'a Scene<'a>,
+    solver: Solver,
+    roughness: f64,
+}
+
+/// What was estimated, and echoes and wall without these errors.
+struct Estimate {
+    errors: Vec<Twist>,
+    shift_sd_mm: f64,
+    offset: Offset,
+    solver_steps: usize,
+    echoes: Vec<Echo>,
+    wall: Wall,
+}
+
+impl Work<'_> {
+    /// Estimates the errors of the poses, and where there are motions the offset along them too: both at once, or one
+    /// would pass for the other.
+    fn estimate(
+        &self,
+        sensors: &[Pose],
+        motions: Option<&[Motion]>,
+        mut echoes: Vec<Echo>,
+        mut wall: Wall,
+    ) -> Estimate {
+        let Scene { grid, axis, place, .. } = *self.scene;
+        let still = vec![Motion::default(); sensors.len()];
+        let along = motions.unwrap_or(&still);
+        let mut levels = Levels { noise_mm: wall.noise_mm, shift_mm: START_SHARE * wall.noise_mm };
+        let mut errors = vec![Twist::default(); sensors.len()];
+        let mut offset = Offset { seconds: 0.0, standard_error_s: f64::INFINITY };
+        let mut search = Search::new();
+        let mut eased = Eased::default();
+        let mut now = sensors.to_vec();
+        let mut solver_steps = 0;
+        wall.out_of_plane = OUT_OF_PLANE;
+        for round in 0..MOST_ROUNDS {
+            let joint = Joint::about((grid, &self.solver), axis, &echoes, &wall, &now, &errors, along);
+            let fit = joint.fit(levels, FITS, self.roughness, &mut eased, &mut wall.radii_mm);
+            let mut is_left = false;
+            if motions.is_some() {
+                let step = joint.offset(&fit, self.roughness, &eased, &wall.radii_mm);
+                // No motion, no offset.
+                if step.seconds.is_finite() {
+                    let step = search.step(offset.seconds, step);
+                    offset.seconds += step.seconds;
+                    offset.standard_error_s = step.standard_error_s;
+                    is_left = step.seconds.abs() > ENOUGH_ERRORS * step.standard_error_s;
+                }
+            }
+            levels = fit.levels;
+            errors = fit.errors;
+            solver_steps += fit.solver_steps;
+            wall.noise_mm = levels.noise_mm;
+            now = moved(sensors, along, offset.seconds);
+            now.iter_mut()
+                .zip(&errors)
+                .for_each(|(pose, error)| *pose = corrected(pose, error, grid.radius_mm()));
+            echoes = place(&now);
+            self.settle(&mut echoes, &wall);
+            if round + 1 >= LEAST_ROUNDS && !is_left {
+                break;
+            }
+        }
+        Estimate { errors, shift_sd_mm: levels.shift_mm, offset, solver_steps, echoes, wall }
+    }
+
+    /// Lets the echoes find their feet.
+    fn settle(&self, echoes: &mut [Echo], wall: &Wall) {
+        for _ in 0..FOOT_STEPS {
+            wall::measure(self.scene.grid, echoes, wall, true);
+        }
+    }
+}
+
+/// The search for where Gauss-Newton steps for the offset are nought.
+///
+/// Noise of the wall's slopes makes an offset look better known than it is, and every step too short by the same
+/// factor. Two steps tell the factor: they shrink by as much as the offset explains of them.
+struct Search {
+    before: Option<(f64, f64)>,
+    factor: f64,
+}
+
+impl Search {
+    fn new() -> Self {
+        Self { before: None, factor: 1.0 }
+    }
+
+    /// The step from an offset, and its standard error, in full length.
+    fn step(&mut self, at_s: f64, step: Offset) -> Offset {
+        if let Some((at_before_s, step_before_s)) = self.before {
+            let way_s = at_s - at_before_s;
+            // On a shorter way the difference of two steps is mostly noise.
+            if way_s.abs() > step.standard_error_s {
+                self.factor = ((step_before_s - step.seconds) / way_s).clamp(LEAST_FACTOR, 1.0);
+            }
+        }
+        self.before = Some((at_s, step.seconds));
+        Offset {
+            // Farther than the window a step is not linear.
+            seconds: (step.seconds / self.factor).clamp(-VELOCITY_WINDOW_S, VELOCITY_WINDOW_S),
+            standard_error_s: step.standard_error_s / self.factor,
+        }
+    }
+}
+
+/// Poses that are `seconds` later along their motion. Not interpolated between their neighbours: that would average
+/// their noise away halfway between two frames, and the offset would be drawn there.
+fn moved(sensors: &[Pose], motions: &[Motion], seconds: f64) -> Vec<Pose> {
+    let moved = |(pose, motion): (&Pose, &Motion)| Pose {
+        rotation: DMat3::from_quat(DQuat::from_scaled_axis(motion.turn_rad * seconds)) * pose.rotation,
+        translation_mm: pose.translation_mm + motion.shift_mm * seconds,
+    };
+    sensors.iter().zip(motions).map(moved).collect()
+}
+
+/// How the poses move about each frame: slopes of position and of the rotation vector from that frame.
+fn motions(frames: &[Frame]) -> Result<Vec<Motion>> {
+    let needed = |frame, found: String| Error::Frame {
+        frame,
+        field: "time",
+        found,
+        expected: "times that increase, for an offset in time to be estimated".into(),
+    };
+    let mut times_s = Vec::with_capacity(frames.len());
+    for (k, frame) in frames.iter().enumerate() {
+        let time_s = frame.time_s.ok_or_else(|| needed(k, "none".into()))?;
+        if times_s.last().is_some_and(|last| time_s <= *last) {
+            return Err(needed(k, format!("{time_s} s, not after the frame before")));
+        }
+        times_s.push(time_s);
+    }
+    let of_frame = |k: usize| {
+        let first = times_s.partition_point(|t| *t < times_s[k] - VELOCITY_WINDOW_S).min(k.saturating_sub(1));
+        let end = times_s.partition_point(|t| *t <= times_s[k] + VELOCITY_WINDOW_S).max(k + 2);
+        let window = first..end.min(frames.len());
+        let mean_s = times_s[window.clone()].iter().sum::<f64>() / window.len() as f64;
+        let here = &frames[k].world_from_sensor;
+        let (mut motion, mut square) = (Motion::default(), 0.0);
+        for j in window {
+            let there = &frames[j].world_from_sensor;
+            let turn = DQuat::from_mat3(&(there.rotation * here.rotation.transpose())).normalize();
+            let turn = (if turn.w < 0.0 { -turn } else { turn }).to_scaled_axis();
+            let lever = times_s[j] - mean_s;
+            square += lever * lever;
+            motion.shift_mm += (there.translation_mm - here.translation_mm) * lever;
+            motion.turn_rad += turn * lever;
+        }
+        if square > 0.0 {
+            motion.shift_mm /= square;
+            motion.turn_rad /= square;
+        }
+        motion
+    };
+    Ok((0..frames.len()).map(of_frame).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_steady_motion_is_found_and_followed() {
+        let (speed, spin) = (DVec3::new(2.0, 0.0, -1.0), DVec3::new(0.0, 0.3, 0.0));
+        let at = |time_s: f64| Pose {
+            rotation: DMat3::from_quat(DQuat::from_scaled_axis(spin * time_s)) * DMat3::from_rotation_x(1.0),
+            translation_mm: speed * time_s,
+        };
+        let frame = |k: u32| {
+            let time_s = 0.08 * f64::from(k);
+            Frame {
+                world_from_sensor: at(time_s),
+                time_s: Some(time_s),
+                contour_mm: Vec::new(),
+                cylinder: None,
+            }
+        };
+        let frames: Vec<Frame> = (0..30).map(frame).collect();
+        let sensors: Vec<Pose> = frames.iter().map(|f| f.world_from_sensor).collect();
+        let later = moved(&sensors, &motions(&frames).unwrap(), 0.2);
+        for (frame, pose) in frames.iter().zip(later) {
+            let there = at(frame.time_s.unwrap() + 0.2);
+            assert!(pose.translation_mm.distance(there.translation_mm) < 1e-9, "{pose:?}");
+            assert!(pose.rotation.abs_diff_eq(there.rotation, 1e-9), "{pose:?}");
+        }
+    }
+}

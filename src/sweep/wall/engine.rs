@@ -1,0 +1,97 @@
+//! Where the wall is fitted.
+
+use super::echo::Echo;
+#[cfg(feature = "gpu")]
+use super::gpu::SweepEngine;
+use super::grid::Grid;
+use super::{OnCpu, Wall};
+use crate::Result;
+use crate::engine::{EngineDescription, WORTH_A_DEVICE_S};
+use crate::settings::{Backend, Settings};
+
+/// CPU time of an echo in a reweighting and of a node in a step of the solver, in seconds, about twice what a server
+/// processor takes; reweightings, and steps in each. They steer the choice of [`Backend::Auto`], not a result.
+const SECONDS_PER_ECHO: f64 = 200e-9;
+const SECONDS_PER_NODE: f64 = 50e-9;
+const USUAL_ITERATIONS: f64 = 8.0;
+const USUAL_STEPS: f64 = 15.0;
+
+/// Fits the wall where the settings say.
+pub(in crate::sweep) fn fit(
+    grid: &Grid,
+    echoes: &mut [Echo],
+    settings: &Settings,
+) -> Result<(Wall, EngineDescription)> {
+    let ages = settings.sweep.half_life_s.is_some();
+    match settings.backend {
+        Backend::Auto if ages => {
+            fit_on_cpu(grid, echoes, settings, Some("devices weigh all echoes alike".into()))
+        }
+        #[cfg(feature = "gpu")]
+        Backend::Gpu if ages => Err(crate::Error::Setting {
+            name: "backend",
+            found: "gpu".into(),
+            expected: "auto or cpu with sweep.half_life_s: devices weigh all echoes alike".into(),
+        }),
+        Backend::Cpu => fit_on_cpu(grid, echoes, settings, None),
+        // The CPU's sweep is the yardstick already.
+        Backend::Reference => {
+            let (wall, engine) = fit_on_cpu(grid, echoes, settings, None)?;
+            Ok((wall, EngineDescription { name: "reference".into(), ..engine }))
+        }
+        Backend::Auto => {
+            let of_echoes = echoes.len() as f64 * SECONDS_PER_ECHO / rayon::current_num_threads() as f64;
+            let of_nodes = grid.node_count() as f64 * SECONDS_PER_NODE * USUAL_STEPS;
+            let cpu_seconds = USUAL_ITERATIONS * (of_echoes + of_nodes);
+            if cpu_seconds < WORTH_A_DEVICE_S {
+                let why = format!(
+                    "the work is about {} ms on the CPU, less than starting a device takes",
+                    (cpu_seconds * 1e3).ceil()
+                );
+                return fit_on_cpu(grid, echoes, settings, Some(why));
+            }
+            #[cfg(feature = "gpu")]
+            let why = match crate::engine::start(settings.adapter.as_deref(), SweepEngine::new) {
+                Err(why) => why,
+                Ok(engine) => match fit_on_device(grid, echoes, settings, &engine) {
+                    Ok(wall) => {
+                        let why = format!("the work is about {cpu_seconds:.1} s on the CPU");
+                        return Ok((wall, EngineDescription { why: Some(why), ..engine.describe() }));
+                    }
+                    Err(crate::Error::Gpu(failure)) => format!("the device failed: {failure}"),
+                    Err(other) => return Err(other),
+                },
+            };
+            #[cfg(not(feature = "gpu"))]
+            let why = "this build has no GPU engine".to_owned();
+            fit_on_cpu(grid, echoes, settings, Some(why))
+        }
+        #[cfg(feature = "gpu")]
+        Backend::Gpu => {
+            let engine = SweepEngine::new(settings.adapter.as_deref())?;
+            Ok((fit_on_device(grid, echoes, settings, &engine)?, engine.describe()))
+        }
+    }
+}
+
+fn fit_on_cpu(
+    grid: &Grid,
+    echoes: &mut [Echo],
+    settings: &Settings,
+    why: Option<String>,
+) -> Result<(Wall, EngineDescription)> {
+    let start_mm = super::start_mm(echoes);
+    let wall = super::fit(OnCpu::new(grid, echoes, start_mm), grid, start_mm, settings.sweep.roughness)?;
+    Ok((wall, EngineDescription { name: "cpu".into(), adapter: None, why }))
+}
+
+#[cfg(feature = "gpu")]
+pub(in crate::sweep) fn fit_on_device(
+    grid: &Grid,
+    echoes: &mut [Echo],
+    settings: &Settings,
+    engine: &SweepEngine,
+) -> Result<Wall> {
+    let start_mm = super::start_mm(echoes);
+    super::fit(engine.wall(grid, echoes, start_mm)?, grid, start_mm, settings.sweep.roughness)
+}
