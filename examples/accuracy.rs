@@ -1,5 +1,5 @@
 //! Measures all methods against known truth, beside Poisson reconstruction, and writes the table of
-//! `docs/methods.md` anew.
+//! `docs/accuracy.md` anew.
 //!
 //! ```sh
 //! cargo run --release --example accuracy            # all rows; writes the table
@@ -24,7 +24,7 @@ use lumenmesh::sweep::Sweep;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-const TABLE: &str = "docs/methods.md";
+const TABLE: &str = "docs/accuracy.md";
 const BEGIN: &str = "<!-- accuracy: written by `cargo run --release --example accuracy` -->\n";
 const END: &str = "<!-- accuracy: end -->\n";
 /// What the sweep may have of Poisson's mean distance.
