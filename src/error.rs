@@ -4,13 +4,14 @@ use std::path::{Path, PathBuf};
 
 /// What can go wrong between a recording and a mesh.
 ///
-/// Messages name the file, the frame, the field and both what was found and what was expected, as far as
-/// each is known where the error arises.
+/// Messages name the file, the frame, the field, what was found and what was expected, as far as each is known where the
+/// error arises. [`source`](std::error::Error::source) gives the system's or the device's own error.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// A file or folder could not be read.
     #[error("{}: cannot read: {source}", path.display())]
+    #[non_exhaustive]
     Read {
         /// The file.
         path: PathBuf,
@@ -19,6 +20,7 @@ pub enum Error {
     },
     /// A file could not be written. Nothing was left behind under its name.
     #[error("{}: cannot write: {source}", path.display())]
+    #[non_exhaustive]
     Write {
         /// The file.
         path: PathBuf,
@@ -27,6 +29,7 @@ pub enum Error {
     },
     /// A file's content is not what its format or its use asks for.
     #[error("{}: {}{field}: found {found}, expected {expected}", path.display(), frame_prefix(*frame))]
+    #[non_exhaustive]
     Input {
         /// The file, or a name for data that came from memory.
         path: PathBuf,
@@ -41,6 +44,7 @@ pub enum Error {
     },
     /// A file name's ending names no format that this operation knows.
     #[error("{}: unknown ending {ending:?}, expected one of {expected}", path.display())]
+    #[non_exhaustive]
     UnknownEnding {
         /// The file.
         path: PathBuf,
@@ -51,6 +55,7 @@ pub enum Error {
     },
     /// A setting is outside what makes sense.
     #[error("setting {name}: found {found}, expected {expected}")]
+    #[non_exhaustive]
     Setting {
         /// The setting's name, as in the TOML file.
         name: &'static str,
@@ -61,6 +66,7 @@ pub enum Error {
     },
     /// A frame of a recording in memory cannot be used.
     #[error("frame {frame}: {field}: found {found}, expected {expected}")]
+    #[non_exhaustive]
     Frame {
         /// The frame (0-based).
         frame: usize,
@@ -73,6 +79,7 @@ pub enum Error {
     },
     /// A surface cannot be used for what was asked.
     #[error("surface: {what}: found {found}, expected {expected}")]
+    #[non_exhaustive]
     Surface {
         /// The quantity.
         what: String,

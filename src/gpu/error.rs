@@ -4,6 +4,7 @@
 pub enum GpuError {
     /// No adapter, or none of that name.
     #[error("no GPU adapter {wanted}; found {found}")]
+    #[non_exhaustive]
     NoAdapter {
         /// What was asked for.
         wanted: String,
@@ -12,6 +13,7 @@ pub enum GpuError {
     },
     /// The adapter gave no device.
     #[error("adapter {adapter} gives no device: {reason}")]
+    #[non_exhaustive]
     NoDevice {
         /// The adapter.
         adapter: String,
@@ -20,6 +22,7 @@ pub enum GpuError {
     },
     /// A buffer would exceed what the device allows.
     #[error("the job needs {needed} bytes for {name}, the device allows {allowed} at most")]
+    #[non_exhaustive]
     TooLarge {
         /// The buffer.
         name: String,
@@ -30,6 +33,7 @@ pub enum GpuError {
     },
     /// The device has no memory left.
     #[error("the device is out of memory; the job needs {needed} bytes: {reason}")]
+    #[non_exhaustive]
     OutOfMemory {
         /// Bytes that the whole job needs.
         needed: u64,
@@ -38,6 +42,7 @@ pub enum GpuError {
     },
     /// A shader or a call that the device refuses: a defect of this program or of the driver.
     #[error("the device refuses {what}: {reason}")]
+    #[non_exhaustive]
     Refused {
         /// The pass or the call.
         what: String,
@@ -46,6 +51,7 @@ pub enum GpuError {
     },
     /// The device did not finish in time.
     #[error("the device did not finish within {seconds} s")]
+    #[non_exhaustive]
     Timeout {
         /// How long was waited, in seconds.
         seconds: u64,
@@ -54,6 +60,7 @@ pub enum GpuError {
     #[error(
         "the device measured {finished} of {expected} faces with many points to the end; use the CPU for these"
     )]
+    #[non_exhaustive]
     Unfinished {
         /// Faces that were measured, over all iterations.
         finished: u32,
@@ -62,6 +69,7 @@ pub enum GpuError {
     },
     /// The device computed something that cannot be: a defect of this program or of the driver.
     #[error("the device computed {found} for the {what}; use the CPU for these")]
+    #[non_exhaustive]
     Wrong {
         /// What it computed.
         what: &'static str,
@@ -70,6 +78,7 @@ pub enum GpuError {
     },
     /// The device is gone.
     #[error("the device was lost: {reason}")]
+    #[non_exhaustive]
     Lost {
         /// What the driver said.
         reason: String,

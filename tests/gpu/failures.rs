@@ -94,7 +94,7 @@ fn too_large_a_job_is_refused_with_both_numbers() {
     let allowed = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
     let refused = |points: u32, settings: &Settings| match device.engine.prepare(points, RADIUS_MM, settings)
     {
-        Err(Error::Gpu(GpuError::TooLarge { name, needed, allowed: limit })) => {
+        Err(Error::Gpu(GpuError::TooLarge { name, needed, allowed: limit, .. })) => {
             assert_eq!(limit, allowed);
             (name, needed)
         }

@@ -51,7 +51,7 @@ fn a_face_with_more_points_than_a_driver_s_loops_allow_is_never_a_wrong_result()
             let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
             assert_agree(device, &found, &expected);
         }
-        Err(Error::Gpu(GpuError::Unfinished { finished, expected })) => {
+        Err(Error::Gpu(GpuError::Unfinished { finished, expected, .. })) => {
             assert!(finished < expected && expected == 3, "{finished} of {expected}");
         }
         Err(other) => panic!("{other}"),
