@@ -254,7 +254,7 @@ impl Measured {
 /// Poisson reconstructions of a recording's echoes by depth.
 fn poisson(python: &str, recording: &Recording) -> Result<Vec<(u32, Surface)>> {
     let folder = std::env::temp_dir().join(format!("lumenmesh-accuracy-{}", std::process::id()));
-    let failed = |source| lumenmesh::Error::Write { path: folder.clone(), source };
+    let failed = |source| lumenmesh::Error::write(&folder, source);
     std::fs::create_dir_all(&folder).map_err(failed)?;
     let echoes = folder.join("echoes.f64");
     write_atomically(&echoes, |out| {
@@ -282,13 +282,12 @@ fn poisson(python: &str, recording: &Recording) -> Result<Vec<(u32, Surface)>> {
 
 fn replace_table(text: &str) -> Result<()> {
     let path = Path::new(TABLE);
-    let page = std::fs::read_to_string(path)
-        .map_err(|source| lumenmesh::Error::Read { path: path.into(), source })?;
+    let page = std::fs::read_to_string(path).map_err(|source| lumenmesh::Error::read(path, source))?;
     let Some(((before, _), (_, after))) = page.split_once(BEGIN).zip(page.split_once(END)) else {
-        return Err(lumenmesh::Error::Read {
-            path: path.into(),
-            source: std::io::Error::other("the marks of the table are missing"),
-        });
+        return Err(lumenmesh::Error::read(
+            path,
+            std::io::Error::other("the marks of the table are missing"),
+        ));
     };
     let new = format!("{before}{text}{after}");
     write_atomically(path, |out| out.write_all(new.as_bytes()))

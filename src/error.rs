@@ -102,6 +102,16 @@ fn frame_prefix(frame: Option<usize>) -> String {
 }
 
 impl Error {
+    /// An [`Error::Read`] of a file or folder.
+    pub fn read(path: impl Into<PathBuf>, source: std::io::Error) -> Self {
+        Error::Read { path: path.into(), source }
+    }
+
+    /// An [`Error::Write`] of a file or folder.
+    pub fn write(path: impl Into<PathBuf>, source: std::io::Error) -> Self {
+        Error::Write { path: path.into(), source }
+    }
+
     /// An [`Error::Input`] about a whole file or variable.
     pub fn input(
         path: &Path,
