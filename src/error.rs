@@ -112,6 +112,11 @@ impl Error {
         Error::Write { path: path.into(), source }
     }
 
+    /// An [`Error::Setting`], by the setting's name in the TOML file.
+    pub fn setting(name: &'static str, found: impl ToString, expected: impl ToString) -> Self {
+        Error::Setting { name, found: found.to_string(), expected: expected.to_string() }
+    }
+
     /// An [`Error::Input`] about a whole file or variable.
     pub fn input(
         path: &Path,

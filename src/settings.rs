@@ -76,6 +76,11 @@ pub enum Backend {
     Gpu,
 }
 
+/// The error of the backend `gpu` in a build without one.
+pub(crate) fn no_gpu_engine() -> Error {
+    Error::setting("backend", "gpu", "auto, cpu or reference: this build has no GPU engine (feature `gpu`)")
+}
+
 /// Which distances of a triangle are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -300,7 +305,7 @@ impl Settings {
             Err(Error::Setting { name, found, expected: expected.into() })
         };
         if self.backend == Backend::Gpu && cfg!(not(feature = "gpu")) {
-            return fail("backend", "gpu".into(), "auto, cpu or reference: this build has no GPU engine");
+            return Err(no_gpu_engine());
         }
         if self.nodes < 3 {
             return fail("nodes", self.nodes.to_string(), "at least 3");
@@ -426,5 +431,6 @@ mod tests {
             assert!(message.starts_with(&format!("setting {name}: found ")), "{message}");
         }
         assert!(d().validate().is_ok());
+        assert_eq!(d().with_backend(Backend::Gpu).validate().is_ok(), cfg!(feature = "gpu"));
     }
 }

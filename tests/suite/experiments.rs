@@ -270,7 +270,7 @@ fn a_study_that_was_interrupted_goes_on_where_it_was() {
 }
 
 fn failure() -> lumenmesh::Error {
-    lumenmesh::Error::Setting { name: "test", found: "an interruption".into(), expected: "none".into() }
+    lumenmesh::Error::setting("test", "an interruption", "none")
 }
 
 #[test]

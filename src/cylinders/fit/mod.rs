@@ -15,6 +15,8 @@ pub use cpu::CpuEngine;
 use super::{Track, Tube};
 use crate::engine::EngineDescription;
 use crate::geometry::Pose;
+#[cfg(not(feature = "gpu"))]
+use crate::settings::no_gpu_engine;
 use crate::settings::{Backend, Settings};
 use crate::{Error, Result};
 use glam::DVec3;
@@ -60,6 +62,8 @@ pub fn engine(settings: &Settings) -> Result<Box<dyn Engine>> {
         Backend::Reference => Box::new(CpuEngine::<f64>::new()),
         #[cfg(feature = "gpu")]
         Backend::Gpu => Box::new(gpu::GpuEngine::new(settings.adapter.as_deref())?),
+        #[cfg(not(feature = "gpu"))]
+        Backend::Gpu => return Err(no_gpu_engine()),
     })
 }
 

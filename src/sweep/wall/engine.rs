@@ -27,7 +27,6 @@ pub(in crate::sweep) fn fit(
         Backend::Auto if ages => {
             fit_on_cpu(grid, echoes, settings, Some("devices weigh all echoes alike".into()))
         }
-        #[cfg(feature = "gpu")]
         Backend::Gpu if ages => Err(crate::Error::Setting {
             name: "backend",
             found: "gpu".into(),
@@ -71,6 +70,8 @@ pub(in crate::sweep) fn fit(
             let engine = SweepEngine::new(settings.adapter.as_deref())?;
             Ok((fit_on_device(grid, echoes, settings, &engine)?, engine.describe()))
         }
+        #[cfg(not(feature = "gpu"))]
+        Backend::Gpu => Err(crate::settings::no_gpu_engine()),
     }
 }
 
