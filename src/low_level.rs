@@ -25,5 +25,5 @@ pub mod sweep {
 /// What both share on the device.
 #[cfg(feature = "gpu")]
 pub mod gpu {
-    pub use crate::gpu::shader::{Access, Shader};
+    pub use crate::gpu::shader::{Access, Binding, Pass, Shader};
 }

@@ -13,4 +13,4 @@ pub use error::GpuError;
 
 pub(crate) use buffers::Buffers;
 pub(crate) use context::{Context, checked};
-pub(crate) use shader::{Access, Pipeline, Shader, constants};
+pub(crate) use shader::{Access, Binding, Pass, Pipeline, Shader, constants};

@@ -49,7 +49,9 @@ fn wgsl_files(folder: &str) -> Vec<PathBuf> {
 
 #[test]
 fn every_shader_file_is_a_pass_or_part_of_one_and_valid() {
-    for (folder, passes) in [("shaders", fit().collect::<Vec<_>>()), ("shaders/sweep", sweep().collect())] {
+    for (folder, passes) in
+        [("shaders/cylinders", fit().collect::<Vec<_>>()), ("shaders/sweep", sweep().collect())]
+    {
         for file in wgsl_files(folder) {
             let name = file.file_stem().unwrap().to_str().unwrap();
             let pass = passes.iter().find(|pass| pass.name == name);
@@ -95,7 +97,7 @@ fn bindings_are_those_of_the_pass_table() {
             found.insert(binding.binding, (variable.name.clone().unwrap(), access));
         }
         let expected: BTreeMap<u32, (String, Access)> =
-            (0..).zip(pass.bindings.iter().map(|(name, access)| ((*name).to_owned(), *access))).collect();
+            (0..).zip(pass.bindings.iter().map(|b| (b.variable.to_owned(), b.access))).collect();
         assert_eq!(found, expected, "{}", pass.name);
     }
 }
@@ -111,7 +113,7 @@ fn workgroups_are_those_of_the_pass_table_and_fit_the_default_limits() {
         assert!(entry.workgroup_size_overrides.is_none());
         assert!(pass.workgroup_size <= limits.max_compute_invocations_per_workgroup.min(256));
 
-        let stored = pass.bindings.iter().filter(|(_, access)| *access != Access::Uniform).count();
+        let stored = pass.bindings.iter().filter(|b| b.access != Access::Uniform).count();
         assert!(stored <= limits.max_storage_buffers_per_shader_stage.min(8) as usize, "{}", pass.name);
 
         let memory: u32 = module

@@ -1,6 +1,6 @@
 //! The passes of the wall's fit on the device: what each binds and what its workgroups are for, written once.
 
-use crate::gpu::{Access, Shader};
+use crate::gpu::shader::shader;
 
 /// What a pass has a workgroup or an invocation for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,13 +24,7 @@ pub enum Items {
 }
 
 /// A row of the pass table.
-#[derive(Debug)]
-pub struct Pass {
-    /// Its text, in `shaders/sweep/`, and what that asks for.
-    pub shader: Shader,
-    /// What its workgroups are for.
-    pub items: Items,
-}
+pub type Pass = crate::gpu::Pass<(), Items>;
 
 const JOB: &str = include_str!("../../../../shaders/sweep/common/job.wgsl");
 const ECHO: &str = include_str!("../../../../shaders/sweep/common/echo.wgsl");
@@ -44,18 +38,12 @@ const PART: &str = include_str!("../../../../shaders/sweep/common/part.wgsl");
 const EXACT: &str = include_str!("../../../../shaders/common/exact.wgsl");
 
 macro_rules! pass {
-    ($name:literal, $items:ident, $size:literal, [$($common:ident),*],
-     [$($binding:literal: $access:ident),* $(,)?]) => {
+    ($name:literal $(in $file:literal)?, $items:ident, $size:literal, [$($common:ident),*], [$($binding:tt)*]) => {
         Pass {
-            shader: Shader {
-                name: $name,
-                own_source: include_str!(concat!("../../../../shaders/sweep/", $name, ".wgsl")),
-                common: &[JOB, $($common),*],
-                constants: String::new,
-                bindings: &[("job", Access::Uniform), $(($binding, Access::$access)),*],
-                workgroup_size: $size,
-                variants: None,
-            },
+            shader: shader!(
+                "sweep", $name $(in $file)?, $size, [JOB, $($common),*], ["job": Uniform, $($binding)*], {}
+            ),
+            stage: (),
             items: Items::$items,
         }
     };

@@ -156,7 +156,7 @@ impl Workspace {
         ready: &ReadyPass,
         compute: &mut wgpu::ComputePass,
     ) -> Result<(), GpuError> {
-        let Pass { shader, items } = ready.pass;
+        let Pass { shader, items, .. } = ready.pass;
         compute.set_pipeline(ready.pipeline.get(&context.device, 0)?);
         for chunk in &self.chunks {
             let (job, size) = (&self.job, shader.workgroup_size);
