@@ -5,7 +5,7 @@
 
 /// Numbers that a pass computes in.
 pub mod numerics {
-    pub use crate::numerics::Scalar;
+    pub use crate::numerics::{Scalar, inclusive_scan};
 }
 
 /// The published method: see [`crate::cylinders`].
