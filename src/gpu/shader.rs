@@ -1,4 +1,4 @@
-//! The form of a pass: what it binds and how many invocations a workgroup has, written once.
+//! The form of a pass: its shader, its bindings and the size of its workgroups.
 
 use super::{GpuError, checked};
 use std::fmt::Write;
@@ -26,16 +26,16 @@ pub struct Binding {
     pub access: Access,
 }
 
-/// A pass's text and what it asks for.
+/// A pass's shader and its requirements.
 #[derive(Debug)]
 pub struct Shader {
     /// Name of the pass.
     pub name: &'static str,
     /// Name of its WGSL file without the ending: the pass's, unless several passes share the file.
     pub file: &'static str,
-    /// Its WGSL, without what it shares with others.
+    /// Its WGSL, without those files.
     pub own_source: &'static str,
-    /// Files that it shares with others, by content.
+    /// Contents of the files that it shares with others.
     pub common: &'static [&'static str],
     /// Makes the WGSL that comes from Rust and precedes the files, such as constants.
     pub preamble: fn() -> String,
@@ -49,25 +49,27 @@ pub struct Shader {
     pub variants: Option<(&'static str, &'static [u32])>,
 }
 
-/// A row of a pass table: a shader, when it runs, and what it has workgroups for.
+/// A row of a pass table.
 #[derive(Debug)]
 pub struct Pass<Stage, Items> {
-    /// Its text, and what that asks for.
+    /// Its shader.
     pub shader: Shader,
-    /// When it runs.
+    /// The part of the fit to which it belongs.
     pub stage: Stage,
-    /// What its workgroups are for.
+    /// The items that its workgroups or invocations process.
     pub items: Items,
 }
 
-/// Makes a [`Shader`] from the file `shaders/FOLDER/NAME.wgsl`, or from another file that several passes share:
+/// Makes a [`Shader`] from the file `shaders/FOLDER/NAME.wgsl`, or from another file that several passes
+/// share:
 ///
 /// ```text
 /// shader!("FOLDER", "NAME" (in "FILE")?, WORKGROUP SIZE, [COMMON, …], ["VARIABLE" (= "BUFFER")?: ACCESS, …],
 ///     { FIELD: VALUE, … })
 /// ```
 ///
-/// The fields at the end are those of [`Shader`] that most passes leave out: `preamble`, `constants`, `variants`.
+/// The fields at the end are those of [`Shader`] that most passes leave out: `preamble`, `constants`,
+/// `variants`.
 macro_rules! shader {
     ($folder:literal, $name:literal in $file:literal, $size:literal, [$($common:expr),* $(,)?],
      [$($variable:literal $(= $buffer:literal)?: $access:ident),* $(,)?],
@@ -97,7 +99,7 @@ macro_rules! shader {
 pub(crate) use shader;
 
 impl Shader {
-    /// What a row of a pass table begins with.
+    /// A shader without any text.
     pub(crate) const EMPTY: Self = Self {
         name: "",
         file: "",
@@ -121,7 +123,7 @@ impl Shader {
     }
 }
 
-/// WGSL of some constants, from their one home in Rust. An f32 printed as f64 comes back exactly.
+/// WGSL of constants that are defined in Rust. An f32 printed as f64 is read back exactly.
 pub(crate) fn constants(values: impl IntoIterator<Item = (impl AsRef<str>, f32)>) -> String {
     let mut text = String::new();
     for (name, value) in values {
@@ -131,11 +133,11 @@ pub(crate) fn constants(values: impl IntoIterator<Item = (impl AsRef<str>, f32)>
     text
 }
 
-/// A pass made ready on a device.
+/// The pipelines of a pass.
 pub(crate) struct Pipeline {
     pub(crate) shader: &'static Shader,
     layout: wgpu::BindGroupLayout,
-    /// One for each of the shader's variants, made when first needed.
+    /// One for each of the shader's variants, built when it is first needed.
     variants: Vec<OnceLock<wgpu::ComputePipeline>>,
     module: wgpu::ShaderModule,
     pipeline_layout: wgpu::PipelineLayout,
@@ -203,7 +205,7 @@ impl Pipeline {
                 entry_point: Some("main"),
                 compilation_options: wgpu::PipelineCompilationOptions {
                     constants: &constants,
-                    // Every pass sets what it reads.
+                    // Every pass writes workgroup memory before it reads it.
                     zero_initialize_workgroup_memory: false,
                 },
                 cache: None,
