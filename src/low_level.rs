@@ -5,7 +5,7 @@
 
 /// Numbers that a pass computes in.
 pub mod numerics {
-    pub use crate::numerics::Scalar;
+    pub use crate::numerics::{Scalar, inclusive_scan};
 }
 
 /// The published method: see [`crate::cylinders`].
@@ -25,5 +25,5 @@ pub mod sweep {
 /// What both share on the device.
 #[cfg(feature = "gpu")]
 pub mod gpu {
-    pub use crate::gpu::shader::{Access, Shader};
+    pub use crate::gpu::shader::{Access, Binding, Pass, Shader};
 }

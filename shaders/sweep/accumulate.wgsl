@@ -1,11 +1,12 @@
-// The echoes' least-squares equations. Sums are fixed-point integers in two words: exact, so the same in any order.
+// Adds every echo to the normal equations. The sums are fixed-point integers in two words: exact, so
+// independent of the order of the echoes.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> echoes: array<Echo>;
 @group(0) @binding(2) var<storage, read> wall: array<f32>;
 @group(0) @binding(3) var<storage, read> shifts: array<vec2f>;
-// Per node: coupling to itself, to the next along the ring, to the one above, to the one above that next, and the
-// right-hand side.
+// Per node: the coefficients of the node itself, of the next node of its ring, of the node above and of the
+// next node above; and the right-hand side.
 @group(0) @binding(4) var<storage, read_write> sums_low: array<atomic<u32>>;
 @group(0) @binding(5) var<storage, read_write> sums_high: array<atomic<u32>>;
 
@@ -25,31 +26,33 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let index = workgroup_index(group, groups) * 256u + local;
-    if (index >= job.echoes) {
+    if (index >= parameters.echoes) {
         return;
     }
-    let way = way_to_wall(echoes[index], shifts[index]);
-    let miss = abs(way.miss);
-    if (job.gated != 0u && miss > max(job.gate, job.gate_radii * (job.start + way.wall))) {
+    let to_wall = residual_to_wall(echoes[index], shifts[index]);
+    let residual = abs(to_wall.residual);
+    let gate = max(parameters.gate, parameters.gate_radii * (parameters.start + to_wall.wall));
+    if (parameters.gated != 0u && residual > gate) {
         return;
     }
-    let robust = select(1.0, job.huber / miss, miss > job.huber);
-    let weight = robust * (way.normal_x * way.normal_x / way.variance);
+    let robust = select(1.0, parameters.huber / residual, residual > parameters.huber);
+    let weight = robust * (to_wall.normal_x * to_wall.normal_x / to_wall.variance);
     // In units of the noise.
-    let value = weight * (way.across / way.normal_x) * job.per_noise;
-    let p = way.weights.x;
-    let q = way.weights.y;
-    let r = way.weights.z;
-    // a couples to b along the ring or to a' across; b to b' across, a' to b' along; a to b' always.
-    let from_a = select(2u, 1u, way.bottom);
-    let to_c = select(1u, 2u, way.bottom);
-    add(way.corners.x, 0u, weight * p * p, job.weight_scale);
-    add(way.corners.y, 0u, weight * q * q, job.weight_scale);
-    add(way.corners.z, 0u, weight * r * r, job.weight_scale);
-    add(way.corners.x, from_a, weight * p * q, job.weight_scale);
-    add(way.corners.y, to_c, weight * q * r, job.weight_scale);
-    add(way.corners.x, 3u, weight * p * r, job.weight_scale);
-    add(way.corners.x, 4u, p * value, job.way_scale);
-    add(way.corners.y, 4u, q * value, job.way_scale);
-    add(way.corners.z, 4u, r * value, job.way_scale);
+    let value = weight * (to_wall.normal_distance / to_wall.normal_x) * parameters.per_noise;
+    let p = to_wall.weights.x;
+    let q = to_wall.weights.y;
+    let r = to_wall.weights.z;
+    // The edge a-b lies along the ring, a-a' and b-b' across, a'-b' along the next ring, and the diagonal
+    // a-b' in both triangles.
+    let from_a = select(2u, 1u, to_wall.bottom);
+    let to_c = select(1u, 2u, to_wall.bottom);
+    add(to_wall.corners.x, 0u, weight * p * p, parameters.weight_scale);
+    add(to_wall.corners.y, 0u, weight * q * q, parameters.weight_scale);
+    add(to_wall.corners.z, 0u, weight * r * r, parameters.weight_scale);
+    add(to_wall.corners.x, from_a, weight * p * q, parameters.weight_scale);
+    add(to_wall.corners.y, to_c, weight * q * r, parameters.weight_scale);
+    add(to_wall.corners.x, 3u, weight * p * r, parameters.weight_scale);
+    add(to_wall.corners.x, 4u, p * value, parameters.rhs_scale);
+    add(to_wall.corners.y, 4u, q * value, parameters.rhs_scale);
+    add(to_wall.corners.z, 4u, r * value, parameters.rhs_scale);
 }

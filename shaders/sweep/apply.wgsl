@@ -1,6 +1,6 @@
-// The equations' left-hand side for the direction, and the product of both.
+// The matrix of the equations times the direction, and the scalar product of both.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> state: State;
 @group(0) @binding(2) var<storage, read> rows: array<vec4f>;
 @group(0) @binding(3) var<storage, read> direction: array<f32>;
@@ -19,13 +19,13 @@ fn main(
 ) {
     let index = workgroup_index(group, groups);
     let node = index * 256u + local;
-    if (state.done != 0u || index * 256u >= job.node_count) {
+    if (state.done != 0u || index * 256u >= parameters.node_count) {
         return;
     }
     var own = 0.0;
-    if (node < job.node_count) {
-        let k = node / job.nodes;
-        let j = node % job.nodes;
+    if (node < parameters.node_count) {
+        let k = node / parameters.nodes;
+        let j = node % parameters.nodes;
         let x = coupled(k, j) + bending(k, j);
         product[node] = x;
         own = direction[node] * x;

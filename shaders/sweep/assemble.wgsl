@@ -1,11 +1,12 @@
-// The equations of a node, from the sums over echoes; and what is left of them with the wall as it is, in units of the
-// noise. That waits in `product` until the residual is wanted.
+// The equations of a node, from the sums over echoes, and their residual for the wall as it is, in units of
+// the noise. `product` holds that residual until the solver starts.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> sums_low: array<u32>;
 @group(0) @binding(2) var<storage, read> sums_high: array<u32>;
 @group(0) @binding(3) var<storage, read> wall: array<f32>;
-// Couplings to itself, to the next along the ring, to the one above, to the one above that next.
+// Coefficients of the node itself, of the next node of its ring, of the node above and of the next node
+// above.
 @group(0) @binding(4) var<storage, read_write> rows: array<vec4f>;
 @group(0) @binding(5) var<storage, read_write> product: array<f32>;
 @group(0) @binding(6) var<storage, read_write> change: array<f32>;
@@ -26,17 +27,17 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let node = workgroup_index(group, groups) * 256u + local;
-    if (node >= job.node_count) {
+    if (node >= parameters.node_count) {
         return;
     }
     rows[node] = vec4f(
-        sum(node, 0u, job.weight_unit),
-        sum(node, 1u, job.weight_unit),
-        sum(node, 2u, job.weight_unit),
-        sum(node, 3u, job.weight_unit),
+        sum(node, 0u, parameters.weight_unit),
+        sum(node, 1u, parameters.weight_unit),
+        sum(node, 2u, parameters.weight_unit),
+        sum(node, 3u, parameters.weight_unit),
     );
-    let bent = bending(node / job.nodes, node % job.nodes);
-    product[node] = sum(node, 4u, job.way_unit) - bent * job.per_noise;
+    let gradient = bending(node / parameters.nodes, node % parameters.nodes);
+    product[node] = sum(node, 4u, parameters.rhs_unit) - gradient * parameters.per_noise;
     change[node] = 0.0;
     direction[node] = 0.0;
 }

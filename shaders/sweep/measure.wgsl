@@ -1,11 +1,11 @@
-// Every echo's way to the wall, and its new foot.
+// The residual of every echo, and its new projection onto the wall.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> echoes: array<Echo>;
 @group(0) @binding(2) var<storage, read> wall: array<f32>;
-// From each echo to its foot, in rings and nodes.
+// From each echo to its projection, in rings and nodes.
 @group(0) @binding(3) var<storage, read_write> shifts: array<vec2f>;
-@group(0) @binding(4) var<storage, read_write> misses: array<f32>;
+@group(0) @binding(4) var<storage, read_write> residuals: array<f32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -14,16 +14,19 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let index = workgroup_index(group, groups) * 256u + local;
-    if (index >= job.echoes) {
+    if (index >= parameters.echoes) {
         return;
     }
     let echo = echoes[index];
-    let way = way_to_wall(echo, shifts[index]);
-    misses[index] = way.miss;
-    if (job.feet != 0u) {
-        let size = abs(way.miss);
-        let reach = select(1.0, job.farthest_foot / size, size > job.farthest_foot);
-        let distance = -(way.across / way.variance) * reach;
-        shifts[index] = vec2f(way.likeliest.z * distance / echo.step, way.likeliest.y * distance / way.arc);
+    let to_wall = residual_to_wall(echo, shifts[index]);
+    residuals[index] = to_wall.residual;
+    if (parameters.project != 0u) {
+        let size = abs(to_wall.residual);
+        let reach = select(1.0, parameters.max_projection / size, size > parameters.max_projection);
+        let distance = -(to_wall.normal_distance / to_wall.variance) * reach;
+        shifts[index] = vec2f(
+            to_wall.likeliest.z * distance / echo.step,
+            to_wall.likeliest.y * distance / to_wall.arc,
+        );
     }
 }

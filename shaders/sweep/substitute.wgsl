@@ -1,6 +1,7 @@
-// Back through the inside of each block, for each wave, its joints being known.
+// Back substitution through the interior of each block, whose separators are solved, one system per
+// coefficient.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> state: State;
 @group(0) @binding(2) var<storage, read> factors: array<f32>;
 @group(0) @binding(3) var<storage, read_write> spectrum: array<f32>;
@@ -12,33 +13,33 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let index = workgroup_index(group, groups) * 64u + local;
-    if (state.done != 0u || index >= job.blocks * job.nodes) {
+    if (state.done != 0u || index >= parameters.blocks * parameters.nodes) {
         return;
     }
-    let block = index / job.nodes;
-    let wave = index % job.nodes;
-    let frequency = frequency_of(wave);
+    let block = index / parameters.nodes;
+    let coefficient = index % parameters.nodes;
+    let frequency = frequency_of(coefficient);
     var first = 0.0;
     var second = 0.0;
     if (block > 0u) {
-        let joint = block * job.block_rings * job.nodes + wave;
-        first = spectrum[joint];
-        second = spectrum[joint + job.nodes];
+        let separator = block * parameters.block_rings * parameters.nodes + coefficient;
+        first = spectrum[separator];
+        second = spectrum[separator + parameters.nodes];
     }
-    let end = end_of(block);
+    let end = end_of_interior(block);
     var next = 0.0;
     var next_but_one = 0.0;
-    if (block + 1u < job.blocks) {
-        next = spectrum[end * job.nodes + wave];
-        next_but_one = spectrum[(end + 1u) * job.nodes + wave];
+    if (block + 1u < parameters.blocks) {
+        next = spectrum[end * parameters.nodes + coefficient];
+        next_but_one = spectrum[(end + 1u) * parameters.nodes + coefficient];
     }
-    for (var ring = end; ring > first_inside(block); ring--) {
-        let at = (ring - 1u) * job.nodes + wave;
+    for (var ring = end; ring > first_interior(block); ring--) {
+        let at = (ring - 1u) * parameters.nodes + coefficient;
         let x = spectrum[at] * factors[factor_index(INVERSE, ring - 1u, frequency)]
             - factors[factor_index(NEXT, ring - 1u, frequency)] * next
             - factors[factor_index(NEXT_BUT_ONE, ring - 1u, frequency)] * next_but_one
-            - factors[factor_index(FIRST_JOINT, ring - 1u, frequency)] * first
-            - factors[factor_index(SECOND_JOINT, ring - 1u, frequency)] * second;
+            - factors[factor_index(FIRST_SEPARATOR, ring - 1u, frequency)] * first
+            - factors[factor_index(SECOND_SEPARATOR, ring - 1u, frequency)] * second;
         spectrum[at] = x;
         next_but_one = next;
         next = x;

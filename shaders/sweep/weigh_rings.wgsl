@@ -1,6 +1,6 @@
-// The weight of the echoes on each ring, a workgroup a ring.
+// The total weight of the echoes on each ring, one workgroup per ring.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> rows: array<vec4f>;
 @group(0) @binding(2) var<storage, read_write> ring_weights: array<f32>;
 
@@ -11,15 +11,15 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let ring = workgroup_index(group, groups);
-    if (ring >= job.rings) {
+    if (ring >= parameters.rings) {
         return;
     }
     var own = 0.0;
-    for (var j = local; j < job.nodes; j += 256u) {
-        let row = rows[ring * job.nodes + j];
+    for (var j = local; j < parameters.nodes; j += 256u) {
+        let row = rows[ring * parameters.nodes + j];
         var weight = row.x + 2.0 * row.y + (row.z + row.w);
         if (ring > 0u) {
-            let below = rows[(ring - 1u) * job.nodes + j];
+            let below = rows[(ring - 1u) * parameters.nodes + j];
             weight += below.z + below.w;
         }
         own += weight;

@@ -92,7 +92,7 @@ impl Arguments {
         #[cfg(feature = "gpu")]
         let engine = match &device {
             Some(_) if !self.sweeps.is_empty() => {
-                Some(crate::sweep::wall::gpu::SweepEngine::new(self.adapter.as_deref())?)
+                Some(crate::sweep::wall::gpu::GpuWallEngine::new(self.adapter.as_deref())?)
             }
             _ => None,
         };

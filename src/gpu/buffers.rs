@@ -1,27 +1,31 @@
 //! Device memory by name.
 
-use super::{Context, GpuError, checked};
+use super::{Access, Context, GpuError, ReadyPass, checked};
 use std::collections::BTreeMap;
 
-/// The buffers of a job, by the names that its passes bind them under.
+/// The buffers of a job, by the names under which its passes bind them.
 pub(crate) struct Buffers {
     by_name: BTreeMap<&'static str, wgpu::Buffer>,
     bytes: u64,
 }
 
 impl Buffers {
-    /// Buffers of these names and sizes in bytes. Those named `job` are uniform blocks; those in `unbound` are copied
-    /// to and from, but bound to no pass.
-    pub(crate) fn new(
+    /// Buffers of these names and sizes in bytes for some passes. Those that no pass binds are only copied to
+    /// and from, and may be larger.
+    pub(crate) fn new<Stage, Items>(
         context: &Context,
+        passes: &[ReadyPass<Stage, Items>],
         sizes: &[(&'static str, u64)],
-        unbound: &[&str],
     ) -> Result<Self, GpuError> {
         let limits = context.device.limits();
         let bytes = sizes.iter().map(|(_, size)| size).sum();
-        let allowed = |name: &str| match unbound.contains(&name) {
-            true => limits.max_buffer_size,
-            false => limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+        let access = |name: &str| {
+            let mut bindings = passes.iter().flat_map(|ready| ready.pass.shader.bindings);
+            bindings.find(|binding| binding.buffer == name).map(|binding| binding.access)
+        };
+        let allowed = |name: &str| match access(name) {
+            None => limits.max_buffer_size,
+            Some(_) => limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
         };
         let too_large = sizes.iter().rev().filter(|(name, size)| *size > allowed(name));
         if let Some((name, needed)) = too_large.max_by_key(|(_, size)| size) {
@@ -33,7 +37,10 @@ impl Buffers {
                 .iter()
                 .map(|&(name, size)| {
                     use wgpu::BufferUsages as Usage;
-                    let usage = if name == "job" { Usage::UNIFORM } else { Usage::STORAGE };
+                    let usage = match access(name) {
+                        Some(Access::Uniform) => Usage::UNIFORM,
+                        _ => Usage::STORAGE,
+                    };
                     let buffer = context.device.create_buffer(&wgpu::BufferDescriptor {
                         label: Some(name),
                         // A binding of no bytes is an error.
@@ -45,7 +52,7 @@ impl Buffers {
                 })
                 .collect()
         })
-        .map_err(|error| error.of_a_job(bytes))?;
+        .map_err(|error| error.with_needed(bytes))?;
         Ok(Self { by_name, bytes })
     }
 
@@ -54,7 +61,7 @@ impl Buffers {
         self.by_name.get(name)
     }
 
-    /// Bytes of all of them.
+    /// Size of all of them, bytes.
     pub(crate) fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -63,7 +70,7 @@ impl Buffers {
 impl std::ops::Index<&str> for Buffers {
     type Output = wgpu::Buffer;
 
-    /// A buffer by a name that it was made under.
+    /// The buffer that was made under that name.
     fn index(&self, name: &str) -> &wgpu::Buffer {
         &self.by_name[name]
     }

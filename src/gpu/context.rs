@@ -5,10 +5,10 @@ use serde::Serialize;
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
 
-/// How long a submission may take before the device is given up.
-const PATIENCE: Duration = Duration::from_secs(120);
+/// Longest time that a submission may take.
+const DEVICE_TIMEOUT: Duration = Duration::from_secs(120);
 
-/// An adapter as a person would want it described.
+/// An adapter, described for a person.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AdapterDescription {
     /// Its name.
@@ -25,7 +25,7 @@ pub struct AdapterDescription {
     pub max_storage_binding_bytes: u64,
     /// Workgroup memory, bytes.
     pub max_workgroup_bytes: u32,
-    /// Most invocations a workgroup.
+    /// Most invocations per workgroup.
     pub max_workgroup_invocations: u32,
     /// Whether passes can be timed on the device.
     pub timestamps: bool,
@@ -67,13 +67,13 @@ impl AdapterDescription {
     }
 }
 
-/// The adapters of this machine, best first; the first is the one that is taken unless another is named.
+/// The adapters of this machine, best first. Engines take the first unless another is named.
 pub fn adapters() -> Vec<AdapterDescription> {
     enumerate().into_iter().map(|(description, _)| description).collect()
 }
 
 fn enumerate() -> Vec<(AdapterDescription, wgpu::Adapter)> {
-    // Not GL: its compute is an afterthought on most drivers.
+    // Not GL: few of its drivers are tested with compute shaders.
     let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
         backends,
@@ -87,7 +87,7 @@ fn enumerate() -> Vec<(AdapterDescription, wgpu::Adapter)> {
     found
 }
 
-/// What the engine needs of a device, for hosts that request their own.
+/// The requirements of the engines on a device, for hosts that request their own.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Requirements {
     /// Features: none beyond the standard's.
@@ -97,13 +97,13 @@ pub struct Requirements {
 }
 
 impl Requirements {
-    /// What every job needs.
+    /// The requirements of every job.
     pub fn new() -> Self {
         Self { features: wgpu::Features::empty(), limits: wgpu::Limits::default() }
     }
 
-    /// The same with room for larger jobs: buffers and bindings as large as the adapter has them, and passes
-    /// that can be timed where it can.
+    /// The same with room for larger jobs: buffers and bindings as large as the adapter allows, and
+    /// timestamps of passes where it has them.
     #[must_use]
     pub fn with_all_room(mut self, adapter: &wgpu::Adapter) -> Self {
         let has = adapter.limits();
@@ -113,7 +113,7 @@ impl Requirements {
         self
     }
 
-    /// A host's device descriptor with these requirements merged in.
+    /// A host's device descriptor, extended by these requirements.
     #[must_use]
     pub fn merged_into<'a>(&self, mut host: wgpu::DeviceDescriptor<'a>) -> wgpu::DeviceDescriptor<'a> {
         host.required_features |= self.features;
@@ -133,7 +133,7 @@ pub(crate) struct Context {
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     pub(crate) adapter: Option<AdapterDescription>,
-    /// What a device of our own reported outside any call.
+    /// The first error that a device of our own reported outside any call.
     report: Arc<Mutex<Option<String>>>,
 }
 
@@ -165,17 +165,17 @@ impl Context {
         };
         let lost = Arc::clone(&report);
         device.set_device_lost_callback(move |reason, message| note(format!("{reason:?}: {message}"), &lost));
-        let stray = Arc::clone(&report);
-        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(error.to_string(), &stray)));
+        let uncaptured = Arc::clone(&report);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(error.to_string(), &uncaptured)));
         Ok(Self { device, queue, adapter: Some(description), report })
     }
 
-    /// On a host's device, whose handlers stay the host's.
+    /// On a host's device, whose error handlers stay the host's.
     pub(crate) fn of_host(device: wgpu::Device, queue: wgpu::Queue) -> Self {
         Self { device, queue, adapter: None, report: Arc::default() }
     }
 
-    /// Whether the device is a program on the CPU, as far as it is known.
+    /// Whether the device is known to be a program on the CPU.
     pub(crate) fn is_software(&self) -> bool {
         self.adapter.as_ref().is_some_and(AdapterDescription::is_software)
     }
@@ -188,8 +188,8 @@ impl Context {
         }
     }
 
-    /// Submits what `record` records and reads some buffers back, whole. `needed` is what the job takes of the
-    /// device's memory, in bytes.
+    /// Submits what `record` records, waits for it, and reads some buffers back, whole. `needed` is the
+    /// device memory of the whole job, in bytes.
     pub(crate) fn run(
         &self,
         needed: u64,
@@ -213,7 +213,7 @@ impl Context {
             }
             Ok(self.queue.submit([encoder.finish()]))
         })
-        .map_err(|error| error.of_a_job(needed))??;
+        .map_err(|error| error.with_needed(needed))??;
         let (sender, receiver) = mpsc::channel();
         for copy in &copies {
             let sender = sender.clone();
@@ -224,12 +224,12 @@ impl Context {
         }
         self.wait(submission)?;
         for _ in &copies {
-            // Where several threads use the device, another one's wait may be the one that tells of our results,
-            // a moment after ours has returned.
-            match receiver.recv_timeout(PATIENCE) {
+            // Where several threads use the device, another thread's wait may call our callbacks, a moment
+            // after ours has returned.
+            match receiver.recv_timeout(DEVICE_TIMEOUT) {
                 Ok(Ok(())) => {}
                 Ok(Err(error)) => return Err(GpuError::Lost { reason: error.to_string() }),
-                Err(_) => return Err(GpuError::Timeout { seconds: PATIENCE.as_secs() }),
+                Err(_) => return Err(GpuError::Timeout { seconds: DEVICE_TIMEOUT.as_secs() }),
             }
         }
         copies
@@ -241,21 +241,21 @@ impl Context {
             .collect()
     }
 
-    /// Waits for a submission, but not for ever.
+    /// Waits for a submission, at most for [`DEVICE_TIMEOUT`].
     fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), GpuError> {
         let poll = self
             .device
-            .poll(wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) });
+            .poll(wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(DEVICE_TIMEOUT) });
         self.alive()?;
         match poll {
             Ok(_) => Ok(()),
-            Err(wgpu::PollError::Timeout) => Err(GpuError::Timeout { seconds: PATIENCE.as_secs() }),
+            Err(wgpu::PollError::Timeout) => Err(GpuError::Timeout { seconds: DEVICE_TIMEOUT.as_secs() }),
             Err(other) => Err(GpuError::Lost { reason: other.to_string() }),
         }
     }
 }
 
-/// Runs calls on the device and returns what they made, unless the device refuses one.
+/// Makes calls on the device and returns their result, unless the device refuses one.
 pub(crate) fn checked<T>(
     device: &wgpu::Device,
     what: &str,

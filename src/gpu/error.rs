@@ -1,4 +1,4 @@
-/// What can go wrong on the device.
+/// Errors of the device.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GpuError {
@@ -6,9 +6,9 @@ pub enum GpuError {
     #[error("no GPU adapter {wanted}; found {found}")]
     #[non_exhaustive]
     NoAdapter {
-        /// What was asked for.
+        /// The adapter that was asked for.
         wanted: String,
-        /// The adapters that are there.
+        /// The adapters of this machine.
         found: String,
     },
     /// The adapter gave no device.
@@ -17,7 +17,7 @@ pub enum GpuError {
     NoDevice {
         /// The adapter.
         adapter: String,
-        /// What the driver said.
+        /// The driver's message.
         reason: String,
     },
     /// A buffer would exceed what the device allows.
@@ -37,7 +37,7 @@ pub enum GpuError {
     OutOfMemory {
         /// Bytes that the whole job needs.
         needed: u64,
-        /// What the driver said.
+        /// The driver's message.
         reason: String,
     },
     /// A shader or a call that the device refuses: a defect of this program or of the driver.
@@ -46,17 +46,17 @@ pub enum GpuError {
     Refused {
         /// The pass or the call.
         what: String,
-        /// What the driver said.
+        /// The driver's message.
         reason: String,
     },
     /// The device did not finish in time.
     #[error("the device did not finish within {seconds} s")]
     #[non_exhaustive]
     Timeout {
-        /// How long was waited, in seconds.
+        /// The limit, in seconds.
         seconds: u64,
     },
-    /// The device did not measure every face to the end: a driver that cuts long loops short.
+    /// The device did not measure every face to the end: some drivers cut long loops short.
     #[error(
         "the device measured {finished} of {expected} faces with many points to the end; use the CPU for these"
     )]
@@ -64,14 +64,14 @@ pub enum GpuError {
     Unfinished {
         /// Faces that were measured, over all iterations.
         finished: u32,
-        /// Faces that should have been.
+        /// Faces that there are, over all iterations.
         expected: u32,
     },
-    /// The device computed something that cannot be: a defect of this program or of the driver.
+    /// The device computed an impossible value: a defect of this program or of the driver.
     #[error("the device computed {found} for the {what}; use the CPU for these")]
     #[non_exhaustive]
     Wrong {
-        /// What it computed.
+        /// The quantity.
         what: &'static str,
         /// The value.
         found: String,
@@ -80,14 +80,14 @@ pub enum GpuError {
     #[error("the device was lost: {reason}")]
     #[non_exhaustive]
     Lost {
-        /// What the driver said.
+        /// The driver's message.
         reason: String,
     },
 }
 
 impl GpuError {
-    /// The error of a call for a job that takes so many bytes of the device's memory.
-    pub(crate) fn of_a_job(self, bytes: u64) -> Self {
+    /// The same error in a job that needs so many bytes of the device's memory.
+    pub(crate) fn with_needed(self, bytes: u64) -> Self {
         match self {
             Self::OutOfMemory { reason, .. } => Self::OutOfMemory { needed: bytes, reason },
             other => other,

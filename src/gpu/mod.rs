@@ -1,11 +1,12 @@
-//! What every engine on a device shares: adapters and devices, the form of a pass, named buffers, and calls whose errors
-//! come back as values.
+//! Parts that every engine on a device shares: adapters and devices, the form of a pass, named buffers, and
+//! calls whose errors come back as values.
 //!
-//! What is computed there is the business of [`fit::gpu`](crate::cylinders::fit::gpu) and [`sweep::gpu`](crate::sweep::wall::gpu).
+//! The passes themselves belong to [`cylinders`](crate::cylinders) and [`sweep`](crate::sweep).
 
 mod buffers;
 mod context;
 mod error;
+mod runner;
 pub(crate) mod shader;
 
 pub use context::{AdapterDescription, Requirements, adapters};
@@ -13,4 +14,5 @@ pub use error::GpuError;
 
 pub(crate) use buffers::Buffers;
 pub(crate) use context::{Context, checked};
-pub(crate) use shader::{Access, Pipeline, Shader, constants};
+pub(crate) use runner::{ReadyPass, Runner, Timer, dispatch_size};
+pub(crate) use shader::{Access, Binding, Pass, Pipeline, Shader, constants};

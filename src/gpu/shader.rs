@@ -1,4 +1,4 @@
-//! The form of a pass: what it binds and how many invocations a workgroup has, written once.
+//! The form of a pass: its shader, its bindings and the size of its workgroups.
 
 use super::{GpuError, checked};
 use std::fmt::Write;
@@ -15,29 +15,106 @@ pub enum Access {
     Write,
 }
 
-/// A pass's text and what it asks for.
+/// A buffer that a pass binds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Binding {
+    /// Name of the variable in the shader.
+    pub variable: &'static str,
+    /// Name of the buffer: the variable's, unless several passes share a file and bind different buffers.
+    pub buffer: &'static str,
+    /// How the pass uses it.
+    pub access: Access,
+}
+
+/// A pass's shader and its requirements.
 #[derive(Debug)]
 pub struct Shader {
-    /// Name of the pass and of its file.
+    /// Name of the pass.
     pub name: &'static str,
-    /// Its WGSL, without what it shares with others.
+    /// Name of its WGSL file without the ending: the pass's, unless several passes share the file.
+    pub file: &'static str,
+    /// Its WGSL, without those files.
     pub own_source: &'static str,
-    /// Files that it shares with others, by content.
+    /// Contents of the files that it shares with others.
     pub common: &'static [&'static str],
-    /// Makes the constants that come from Rust.
-    pub constants: fn() -> String,
+    /// Makes the WGSL that comes from Rust and precedes the files, such as constants.
+    pub preamble: fn() -> String,
     /// Its buffers in the order of their binding numbers.
-    pub bindings: &'static [(&'static str, Access)],
-    /// Invocations a workgroup.
+    pub bindings: &'static [Binding],
+    /// Invocations per workgroup.
     pub workgroup_size: u32,
+    /// Values of pipeline constants (`override` in WGSL), the same in every pipeline of the pass.
+    pub constants: &'static [(&'static str, f64)],
     /// A pipeline constant and the values that the pass is built for, where there is one.
     pub variants: Option<(&'static str, &'static [u32])>,
 }
 
+/// A row of a pass table.
+#[derive(Debug)]
+pub struct Pass<Stage, Items> {
+    /// Its shader.
+    pub shader: Shader,
+    /// The part of the fit to which it belongs.
+    pub stage: Stage,
+    /// The items that its workgroups or invocations process.
+    pub items: Items,
+}
+
+/// Makes a [`Shader`] from the file `shaders/FOLDER/NAME.wgsl`, or from another file that several passes
+/// share:
+///
+/// ```text
+/// shader!("FOLDER", "NAME" (in "FILE")?, WORKGROUP SIZE, [COMMON, …], ["VARIABLE" (= "BUFFER")?: ACCESS, …],
+///     { FIELD: VALUE, … })
+/// ```
+///
+/// The fields at the end are those of [`Shader`] that most passes leave out: `preamble`, `constants`,
+/// `variants`.
+macro_rules! shader {
+    ($folder:literal, $name:literal in $file:literal, $size:literal, [$($common:expr),* $(,)?],
+     [$($variable:literal $(= $buffer:literal)?: $access:ident),* $(,)?],
+     { $($field:ident: $value:expr),* $(,)? }) => {
+        $crate::gpu::Shader {
+            name: $name,
+            file: $file,
+            own_source: include_str!(concat!(
+                env!("CARGO_MANIFEST_DIR"), "/shaders/", $folder, "/", $file, ".wgsl"
+            )),
+            common: &[$($common),*],
+            bindings: &[$($crate::gpu::Binding {
+                variable: $variable,
+                // The first of the two that is given.
+                buffer: [$($buffer,)? $variable][0],
+                access: $crate::gpu::Access::$access,
+            }),*],
+            workgroup_size: $size,
+            $($field: $value,)*
+            ..$crate::gpu::Shader::EMPTY
+        }
+    };
+    ($folder:literal, $name:literal, $($rest:tt)*) => {
+        $crate::gpu::shader::shader!($folder, $name in $name, $($rest)*)
+    };
+}
+pub(crate) use shader;
+
 impl Shader {
+    /// A shader without any text.
+    pub(crate) const EMPTY: Self = Self {
+        name: "",
+        file: "",
+        own_source: "",
+        common: &[],
+        preamble: String::new,
+        bindings: &[],
+        workgroup_size: 1,
+        constants: &[],
+        variants: None,
+    };
+
     /// The whole WGSL text.
     pub fn source(&self) -> String {
-        let mut source = (self.constants)();
+        let mut source = (self.preamble)();
         for common in self.common {
             source.push_str(common);
         }
@@ -46,7 +123,7 @@ impl Shader {
     }
 }
 
-/// WGSL of some constants, from their one home in Rust. An f32 printed as f64 comes back exactly.
+/// WGSL of constants that are defined in Rust. An f32 printed as f64 is read back exactly.
 pub(crate) fn constants(values: impl IntoIterator<Item = (impl AsRef<str>, f32)>) -> String {
     let mut text = String::new();
     for (name, value) in values {
@@ -56,11 +133,11 @@ pub(crate) fn constants(values: impl IntoIterator<Item = (impl AsRef<str>, f32)>
     text
 }
 
-/// A pass made ready on a device.
+/// The pipelines of a pass.
 pub(crate) struct Pipeline {
     pub(crate) shader: &'static Shader,
     layout: wgpu::BindGroupLayout,
-    /// One for each of the shader's variants, made when first needed.
+    /// One for each of the shader's variants, built when it is first needed.
     variants: Vec<OnceLock<wgpu::ComputePipeline>>,
     module: wgpu::ShaderModule,
     pipeline_layout: wgpu::PipelineLayout,
@@ -78,7 +155,7 @@ impl Pipeline {
                 .bindings
                 .iter()
                 .enumerate()
-                .map(|(binding, (_, access))| wgpu::BindGroupLayoutEntry {
+                .map(|(binding, Binding { access, .. })| wgpu::BindGroupLayoutEntry {
                     binding: binding as u32,
                     visibility: wgpu::ShaderStages::COMPUTE,
                     ty: wgpu::BindingType::Buffer {
@@ -110,13 +187,12 @@ impl Pipeline {
 
     /// The pipeline itself; `value` is that of the shader's variants, where it has any.
     pub(crate) fn get(&self, device: &wgpu::Device, value: u32) -> Result<&wgpu::ComputePipeline, GpuError> {
-        let (variant, constant) = match self.shader.variants {
-            Some((name, values)) => {
-                let variant = values.iter().position(|&v| v == value).unwrap_or(0);
-                (variant, Some((name, f64::from(values[variant]))))
-            }
-            None => (0, None),
-        };
+        let mut constants = self.shader.constants.to_vec();
+        let mut variant = 0;
+        if let Some((name, values)) = self.shader.variants {
+            variant = values.iter().position(|&v| v == value).unwrap_or(0);
+            constants.push((name, f64::from(values[variant])));
+        }
         let cell = &self.variants[variant];
         if let Some(pipeline) = cell.get() {
             return Ok(pipeline);
@@ -128,8 +204,8 @@ impl Pipeline {
                 module: &self.module,
                 entry_point: Some("main"),
                 compilation_options: wgpu::PipelineCompilationOptions {
-                    constants: constant.as_slice(),
-                    // Every pass sets what it reads.
+                    constants: &constants,
+                    // Every pass writes workgroup memory before it reads it.
                     zero_initialize_workgroup_memory: false,
                 },
                 cache: None,
@@ -146,7 +222,7 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Binds buffers to the pass, each found by its name.
+    /// Binds buffers to the pass, each found by the buffer's name.
     pub(crate) fn bind<'a>(
         &self,
         device: &wgpu::Device,
@@ -155,7 +231,7 @@ impl Pipeline {
         checked(device, self.shader.name, || {
             let entries: Vec<_> = (0..)
                 .zip(self.shader.bindings)
-                .map(|(binding, (name, _))| wgpu::BindGroupEntry { binding, resource: find(name) })
+                .map(|(binding, of)| wgpu::BindGroupEntry { binding, resource: find(of.buffer) })
                 .collect();
             device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some(self.shader.name),

@@ -36,7 +36,7 @@ use std::time::Instant;
 use tracker::Scene;
 use wall::echo::Echo;
 #[cfg(feature = "gpu")]
-pub use wall::gpu::SweepEngine;
+pub use wall::gpu::GpuWallEngine;
 use wall::grid::Grid;
 use wall::{Wall, engine};
 
@@ -140,7 +140,7 @@ impl Sweep {
     /// # Errors
     /// As [`Sweep::of`], and [`Error::Gpu`] where the device fails.
     #[cfg(feature = "gpu")]
-    pub fn on_device(recording: &Recording, settings: &Settings, device: &SweepEngine) -> Result<Self> {
+    pub fn on_device(recording: &Recording, settings: &Settings, device: &GpuWallEngine) -> Result<Self> {
         Self::fitted(recording, settings, |grid, echoes| {
             engine::fit_on_device(grid, echoes, settings, device).map(|wall| (wall, device.describe()))
         })

@@ -2,15 +2,51 @@
 
 use lumenmesh::gpu::adapters;
 use lumenmesh::low_level::cylinders::gpu::{GpuEngine, Workspace};
+use lumenmesh::low_level::sweep::gpu::{GpuWallEngine, WallWorkspace};
 use std::io::Write;
 use std::sync::OnceLock;
 
 /// What a buffer holds before a pass writes it.
 pub const POISON: u32 = u32::MAX;
 
+/// An engine that runs single passes of a workspace.
+pub trait RunPass {
+    type Workspace;
+
+    /// Runs one pass on given inputs and reads buffers back.
+    fn run_pass(
+        &self,
+        workspace: &Self::Workspace,
+        pass: &str,
+        inputs: &[(&str, &[u8])],
+        outputs: &[&str],
+    ) -> lumenmesh::Result<Vec<Vec<u8>>>;
+}
+
+macro_rules! runs_passes {
+    ($engine:ty, $workspace:ty) => {
+        impl RunPass for $engine {
+            type Workspace = $workspace;
+
+            fn run_pass(
+                &self,
+                workspace: &$workspace,
+                pass: &str,
+                inputs: &[(&str, &[u8])],
+                outputs: &[&str],
+            ) -> lumenmesh::Result<Vec<Vec<u8>>> {
+                self.run_pass(workspace, pass, inputs, outputs)
+            }
+        }
+    };
+}
+
+runs_passes!(GpuEngine, Workspace);
+runs_passes!(GpuWallEngine, WallWorkspace);
+
 /// An engine, and whether its device computes f32 exactly as the CPU does.
-pub struct Device {
-    pub engine: GpuEngine,
+pub struct Device<E = GpuEngine> {
+    pub engine: E,
     /// Mesa's software device rounds and fuses as the twins do, so that its results are theirs to the bit.
     pub exact: bool,
 }
@@ -70,12 +106,12 @@ impl Readback {
     }
 }
 
-impl Device {
+impl<E: RunPass> Device<E> {
     /// Runs one pass on given inputs and reads buffers back. Outputs that are not inputs too hold [`POISON`]
     /// before.
     pub fn run<const N: usize>(
         &self,
-        workspace: &Workspace,
+        workspace: &E::Workspace,
         pass: &str,
         inputs: &[(&str, &[u8])],
         outputs: [&str; N],

@@ -6,7 +6,7 @@ use lumenmesh::Error;
 use lumenmesh::cylinders::{AutoEngine, CpuEngine, Engine, Job, Track};
 use lumenmesh::gpu::GpuError;
 use lumenmesh::low_level::cylinders::gpu::GpuEngine;
-use lumenmesh::low_level::sweep::gpu::SweepEngine;
+use lumenmesh::low_level::sweep::gpu::GpuWallEngine;
 use lumenmesh::settings::{Backend, Settings, SweepSettings};
 use lumenmesh::sweep::Sweep;
 use std::sync::mpsc;
@@ -60,7 +60,7 @@ fn a_host_s_destroyed_device_fails_too() {
 fn a_sweep_on_a_destroyed_device_fails() {
     let Some(device) = open() else { return };
     let (lost, queue) = (device.engine.device().clone(), device.engine.queue().clone());
-    let engine = SweepEngine::on_device(lost.clone(), queue).unwrap();
+    let engine = GpuWallEngine::on_device(lost.clone(), queue).unwrap();
     let pullback = recording(60, 40, 163);
     Sweep::on_device(&pullback, &Settings::default(), &engine).unwrap();
     lost.destroy();

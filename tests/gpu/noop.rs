@@ -2,7 +2,7 @@
 
 use lumenmesh::gpu::Requirements;
 use lumenmesh::low_level::cylinders::gpu::GpuEngine;
-use lumenmesh::low_level::sweep::gpu::SweepEngine;
+use lumenmesh::low_level::sweep::gpu::GpuWallEngine;
 
 #[test]
 fn every_pipeline_is_valid_within_the_default_limits() {
@@ -11,7 +11,7 @@ fn every_pipeline_is_valid_within_the_default_limits() {
     assert!(requirements.features.is_empty());
     let (device, queue) = wgpu::Device::noop(&requirements.merged_into(wgpu::DeviceDescriptor::default()));
     GpuEngine::on_device(device.clone(), queue.clone()).unwrap().warm_up().unwrap();
-    SweepEngine::on_device(device, queue).unwrap().warm_up().unwrap();
+    GpuWallEngine::on_device(device, queue).unwrap().warm_up().unwrap();
 }
 
 #[test]

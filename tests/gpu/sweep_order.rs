@@ -3,9 +3,9 @@
 
 use crate::device::POISON;
 use crate::sections::seeded;
-use crate::sweep_passes::{device, echoes, job};
+use crate::sweep_passes::{device, echoes, parameters};
 use lumenmesh::gpu::Requirements;
-use lumenmesh::low_level::sweep::gpu::SweepEngine;
+use lumenmesh::low_level::sweep::gpu::GpuWallEngine;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Backend, Settings};
 use lumenmesh::simulate::{self, Phantom, Shape, Simulation};
@@ -21,13 +21,13 @@ fn stenosis() -> Recording {
 #[test]
 fn permuted_echoes_give_the_same_sums() {
     let Some(device) = device() else { return };
-    let job = job(40, 50);
-    let (wall, echoes, shifts) = echoes(&job, 30_000, 3);
+    let parameters = parameters(40, 50);
+    let (wall, echoes, shifts) = echoes(&parameters, 30_000, 3);
     let sums = |order: &[usize]| {
         let echoes: Vec<_> = order.iter().map(|&i| echoes[i]).collect();
         let shifts: Vec<_> = order.iter().map(|&i| shifts[i]).collect();
-        let workspace = device.engine.prepare(&job, &echoes).unwrap();
-        let none = vec![0_u32; 5 * job.node_count as usize];
+        let workspace = device.engine.prepare(&parameters, &echoes).unwrap();
+        let none = vec![0_u32; 5 * parameters.node_count as usize];
         let inputs = [
             ("wall", bytemuck::cast_slice(&wall)),
             ("shifts", bytemuck::cast_slice(&shifts)),
@@ -62,7 +62,7 @@ fn a_device_with_little_room_sweeps_the_same_bits_chunk_by_chunk() {
     limits.max_storage_buffer_binding_size = 1 << 20;
     let descriptor = wgpu::DeviceDescriptor { required_limits: limits, ..Default::default() };
     let (small, queue) = pollster::block_on(adapter.request_device(&descriptor)).unwrap();
-    let small = SweepEngine::on_device(small, queue).unwrap();
+    let small = GpuWallEngine::on_device(small, queue).unwrap();
 
     let recording = stenosis();
     let settings = Settings::default().with_adapter(Some(adapter_name));

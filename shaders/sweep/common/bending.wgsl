@@ -1,12 +1,13 @@
-// The gradient of the bending energy at a node. Twin: sweep/passes/bending.rs. Whoever includes it says what `value` is.
+// The gradient of the bending energy at a node. The including shader defines `value`.
 
-// Of three in a row. From differences, which are exact where neighbours are alike.
+// The second difference of three values in a row, from first differences: these are exact where neighbours
+// are alike.
 fn second_difference(a: f32, b: f32, c: f32) -> f32 {
     return (c - b) - (b - a);
 }
 
 fn bending(k: u32, j: u32) -> f32 {
-    let nodes = job.nodes;
+    let nodes = parameters.nodes;
     let row = k * nodes;
     let next = select(j + 1u, 0u, j + 1u == nodes);
     let before = select(j, nodes, j == 0u) - 1u;
@@ -31,21 +32,21 @@ fn bending(k: u32, j: u32) -> f32 {
         if (k >= 2u) {
             arch_below = second_difference(value(below - nodes + j), x_below, x);
         }
-        if (k + 1u < job.rings) {
+        if (k + 1u < parameters.rings) {
             arch = second_difference(x_below, x, value(row + nodes + j));
         }
         twist = ((x - x_before) - (x_below - value(below + before)))
             - ((x_next - x) - (value(below + next) - x_below));
     }
-    if (k + 1u < job.rings) {
+    if (k + 1u < parameters.rings) {
         let above = row + nodes;
         let x_above = value(above + j);
-        if (k + 2u < job.rings) {
+        if (k + 2u < parameters.rings) {
             arch_above = second_difference(x, x_above, value(above + nodes + j));
         }
         twist += ((value(above + next) - x_above) - (x_next - x))
             - ((x_above - value(above + before)) - (x - x_before));
     }
     let along = (arch_below - arch) + (arch_above - arch);
-    return job.along * along + job.around * around + job.twist * twist;
+    return parameters.along * along + parameters.around * around + parameters.twist * twist;
 }

@@ -1,18 +1,19 @@
-// The echoes' couplings times `value`, which whoever includes it says what is; so is `rows`.
+// The echoes' part of the matrix times a vector, at a node. The including shader defines the vector as
+// `value`, and binds the matrix as `rows`.
 
 fn coupled(k: u32, j: u32) -> f32 {
-    let row = k * job.nodes;
-    let next = select(j + 1u, 0u, j + 1u == job.nodes);
-    let before = select(j, job.nodes, j == 0u) - 1u;
+    let row = k * parameters.nodes;
+    let next = select(j + 1u, 0u, j + 1u == parameters.nodes);
+    let before = select(j, parameters.nodes, j == 0u) - 1u;
     let here = rows[row + j];
     var sum = here.x * value(row + j) + here.y * value(row + next) + rows[row + before].y * value(row + before);
-    if (k + 1u < job.rings) {
-        let above = row + job.nodes;
+    if (k + 1u < parameters.rings) {
+        let above = row + parameters.nodes;
         sum += here.z * value(above + j);
         sum += here.w * value(above + next);
     }
     if (k > 0u) {
-        let below = row - job.nodes;
+        let below = row - parameters.nodes;
         sum += rows[below + j].z * value(below + j);
         sum += rows[below + before].w * value(below + before);
     }

@@ -1,4 +1,4 @@
-// The sum of what the workgroups of a pass have summed up, by one workgroup of 256.
+// The total of the partial sums of the workgroups of a pass, by one workgroup of 256.
 
 fn sum_of_partials(count: u32, local: u32) -> f32 {
     var own = 0.0;

@@ -1,8 +1,8 @@
-// Sums in a fixed order. Twin: sweep/passes/sum.rs.
+// Sums in a fixed order.
 
 var<workgroup> addends: array<f32, 256>;
 
-// Of one number each of the workgroup's first `width` invocations, a power of two.
+// The sum of `x` over the workgroup's first `width` invocations, a power of two.
 fn sum_of_workgroup(x: f32, width: u32, local: u32) -> f32 {
     addends[local] = x;
     workgroupBarrier();

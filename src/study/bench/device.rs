@@ -6,10 +6,8 @@ use crate::cylinders::Tube;
 use crate::cylinders::fit::Engine;
 use crate::cylinders::fit::gpu::{GpuEngine, PASSES, Workspace};
 use crate::cylinders::fit::passes::{Section, group};
-use crate::gpu::GpuError;
 use crate::settings::Settings;
 use std::collections::BTreeMap;
-use std::time::Duration;
 
 /// A device to be timed.
 pub struct Device {
@@ -56,22 +54,17 @@ impl Device {
                 for _ in 0..copies {
                     encoder.copy_buffer_to_buffer(&from, 0, &to, 0, Some(size));
                 }
-                Ok(())
             })
         })?;
         Ok(2.0 * (copies * size) as f64 / (times.min_ms * 1e-3))
     }
 
     /// Submits what is recorded and waits for it.
-    fn submit(&self, record: impl FnOnce(&mut wgpu::CommandEncoder) -> Result<()>) -> Result<()> {
-        let (device, queue) = (self.engine.device(), self.engine.queue());
-        let mut encoder = device.create_command_encoder(&Default::default());
-        record(&mut encoder)?;
-        let submission_index = Some(queue.submit([encoder.finish()]));
-        let timeout = Some(Duration::from_secs(120));
-        device
-            .poll(wgpu::PollType::Wait { submission_index, timeout })
-            .map_err(|e| GpuError::Lost { reason: e.to_string() })?;
+    fn submit(&self, record: impl FnOnce(&mut wgpu::CommandEncoder)) -> Result<()> {
+        self.engine.runner().run(0, &[], |encoder, _| {
+            record(encoder);
+            Ok(())
+        })?;
         Ok(())
     }
 
@@ -88,29 +81,13 @@ impl Device {
             (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
         let upload = Times::measure(repeats, || {
             engine.queue().write_buffer(workspace.section(), 0, bytemuck::cast_slice(&rows));
-            self.submit(|_| Ok(()))
+            self.submit(|_| ())
         })?;
-        let resident = Times::measure(repeats, || self.submit(|encoder| engine.record(&workspace, encoder)))?;
-        let readback = Times::measure(repeats, || self.read(workspace.radii()).map(drop))?;
+        let resident = Times::measure(repeats, || engine.run_resident(&workspace))?;
+        let readback =
+            Times::measure(repeats, || Ok(engine.runner().run(0, &[workspace.radii()], |_, _| Ok(()))?))?;
         let passes = self.time_passes(&workspace, section, settings, repeats)?;
         Ok(DeviceRow { end_to_end, upload, resident, readback, passes })
-    }
-
-    fn read(&self, from: &wgpu::Buffer) -> Result<Vec<u8>> {
-        let copy = self.engine.device().create_buffer(&wgpu::BufferDescriptor {
-            label: Some("readback"),
-            size: from.size(),
-            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-            mapped_at_creation: false,
-        });
-        self.submit(|encoder| {
-            encoder.copy_buffer_to_buffer(from, 0, &copy, 0, Some(from.size()));
-            Ok(())
-        })?;
-        copy.slice(..).map_async(wgpu::MapMode::Read, |_| ());
-        self.submit(|_| Ok(()))?;
-        let view = copy.slice(..).get_mapped_range();
-        Ok(view.map_err(|e| GpuError::Lost { reason: e.to_string() })?.to_vec())
     }
 
     /// Device time of each pass over a fit.
@@ -121,45 +98,10 @@ impl Device {
         settings: &Settings,
         repeats: usize,
     ) -> Result<Vec<PassRow>> {
-        let (device, queue) = (self.engine.device(), self.engine.queue());
-        if !device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
-            return Ok(Vec::new());
-        }
-        let most = 2 * (PASSES.len() as u32) * (settings.iterations + 1);
-        let queries = device.create_query_set(&wgpu::QuerySetDescriptor {
-            label: None,
-            ty: wgpu::QueryType::Timestamp,
-            count: most,
-        });
-        let resolved = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("timestamps"),
-            size: 8 * u64::from(most),
-            usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
-            mapped_at_creation: false,
-        });
         let mut samples: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
         for _ in 0..repeats.max(1) {
-            let mut names = Vec::new();
-            self.submit(|encoder| {
-                self.engine.record_timed(workspace, encoder, &mut |name| {
-                    let first = 2 * names.len() as u32;
-                    names.push(name);
-                    Some(wgpu::ComputePassTimestampWrites {
-                        query_set: &queries,
-                        beginning_of_pass_write_index: Some(first),
-                        end_of_pass_write_index: Some(first + 1),
-                    })
-                })?;
-                encoder.resolve_query_set(&queries, 0..2 * names.len() as u32, &resolved, 0);
-                Ok(())
-            })?;
-            let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&self.read(&resolved)?);
-            let mut sums: BTreeMap<&'static str, f64> = BTreeMap::new();
-            for (k, name) in names.iter().enumerate() {
-                let elapsed = ticks[2 * k + 1].saturating_sub(ticks[2 * k]) as f64;
-                *sums.entry(name).or_default() += elapsed * f64::from(queue.get_timestamp_period()) * 1e-9;
-            }
-            for (name, seconds) in sums {
+            let (_, passes) = self.engine.runner().timed(|| self.engine.run_resident(workspace))?;
+            for (name, seconds) in passes {
                 samples.entry(name).or_default().push(seconds);
             }
         }

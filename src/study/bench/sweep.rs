@@ -130,7 +130,7 @@ pub struct SweepPassRow {
 pub fn run_sweep(
     case: SweepCase,
     repeats: usize,
-    #[cfg(feature = "gpu")] device: Option<&crate::sweep::wall::gpu::SweepEngine>,
+    #[cfg(feature = "gpu")] device: Option<&crate::sweep::wall::gpu::GpuWallEngine>,
 ) -> Result<SweepRow> {
     let (recording, settings) = (case.recording(1), case.settings());
     let expected = Sweep::of(&recording, &settings)?;

@@ -79,11 +79,11 @@ impl Echo {
     /// The echo as a device holds it, radii measured from `start_mm`: cells and parts of cells apart, so that f32 keeps
     /// their digits.
     #[cfg(feature = "gpu")]
-    pub(in crate::sweep) fn for_device(&self, grid: &Grid, start_mm: f64) -> super::passes::Echo {
+    pub(in crate::sweep) fn for_device(&self, grid: &Grid, start_mm: f64) -> super::passes::DeviceEcho {
         let ring = self.ring.max(0.0).floor();
         let around = self.node.rem_euclid(grid.nodes as f64);
         let node = around.floor();
-        super::passes::Echo {
+        super::passes::DeviceEcho {
             ring: ring as u32,
             ring_part: (self.ring - ring) as f32,
             node: node as u32,

@@ -2,7 +2,7 @@
 
 use super::echo::Echo;
 #[cfg(feature = "gpu")]
-use super::gpu::SweepEngine;
+use super::gpu::GpuWallEngine;
 use super::grid::Grid;
 use super::{OnCpu, Wall};
 use crate::Result;
@@ -50,7 +50,7 @@ pub(in crate::sweep) fn fit(
                 return fit_on_cpu(grid, echoes, settings, Some(why));
             }
             #[cfg(feature = "gpu")]
-            let why = match crate::engine::start(settings.adapter.as_deref(), SweepEngine::new) {
+            let why = match crate::engine::start(settings.adapter.as_deref(), GpuWallEngine::new) {
                 Err(why) => why,
                 Ok(engine) => match fit_on_device(grid, echoes, settings, &engine) {
                     Ok(wall) => {
@@ -67,7 +67,7 @@ pub(in crate::sweep) fn fit(
         }
         #[cfg(feature = "gpu")]
         Backend::Gpu => {
-            let engine = SweepEngine::new(settings.adapter.as_deref())?;
+            let engine = GpuWallEngine::new(settings.adapter.as_deref())?;
             Ok((fit_on_device(grid, echoes, settings, &engine)?, engine.describe()))
         }
         #[cfg(not(feature = "gpu"))]
@@ -91,7 +91,7 @@ pub(in crate::sweep) fn fit_on_device(
     grid: &Grid,
     echoes: &mut [Echo],
     settings: &Settings,
-    engine: &SweepEngine,
+    engine: &GpuWallEngine,
 ) -> Result<Wall> {
     let start_mm = super::start_mm(echoes);
     super::fit(engine.wall(grid, echoes, start_mm)?, grid, start_mm, settings.sweep.roughness)

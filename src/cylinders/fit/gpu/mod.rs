@@ -20,22 +20,18 @@ use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job, check_
 use crate::Result;
 use crate::cylinders::Tube;
 use crate::cylinders::track::empty_section;
-use crate::gpu::{AdapterDescription, Context, GpuError, Pipeline, checked};
+use crate::gpu::{AdapterDescription, Context, GpuError, Runner, Timer};
 use crate::settings::Settings;
 use rayon::prelude::*;
 use std::ops::Range;
-use workspace::{Points, Timer};
+use workspace::Points;
 
 /// A pass made ready on a device.
-struct ReadyPass {
-    pass: &'static Pass,
-    pipeline: Pipeline,
-}
+type ReadyPass = crate::gpu::ReadyPass<Stage, Items>;
 
 /// Fits cylinders on the device.
 pub struct GpuEngine {
-    context: Context,
-    passes: Vec<ReadyPass>,
+    runner: Runner<Stage, Items>,
     cpu_stages: CpuStages,
 }
 
@@ -57,11 +53,7 @@ impl GpuEngine {
     }
 
     fn on(context: Context) -> Result<Self> {
-        let passes = PASSES
-            .iter()
-            .map(|pass| Ok(ReadyPass { pass, pipeline: Pipeline::new(&context.device, &pass.shader)? }))
-            .collect::<Result<Vec<_>, GpuError>>()?;
-        Ok(Self { context, passes, cpu_stages: CpuStages::None })
+        Ok(Self { runner: Runner::new(context, &PASSES)?, cpu_stages: CpuStages::None })
     }
 
     /// The same engine, but [`fit`](Engine::fit) and [`fit_section`](Engine::fit_section) compute the first
@@ -75,17 +67,22 @@ impl GpuEngine {
 
     /// The adapter, where the engine chose it.
     pub fn adapter(&self) -> Option<&AdapterDescription> {
-        self.context.adapter.as_ref()
+        self.runner.adapter()
     }
 
     /// The device.
     pub fn device(&self) -> &wgpu::Device {
-        &self.context.device
+        &self.runner.context.device
     }
 
     /// The queue.
     pub fn queue(&self) -> &wgpu::Queue {
-        &self.context.queue
+        &self.runner.context.queue
+    }
+
+    /// The device and its passes.
+    pub(crate) fn runner(&self) -> &Runner<Stage, Items> {
+        &self.runner
     }
 
     /// Builds every pipeline now rather than when it is first needed.
@@ -93,7 +90,7 @@ impl GpuEngine {
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses one.
     pub fn warm_up(&self) -> Result<()> {
-        Ok(self.passes.iter().try_for_each(|ready| ready.pipeline.warm_up(&self.context.device))?)
+        Ok(self.runner.warm_up()?)
     }
 
     /// Device memory for a tube of that radius and so many points, which the host writes to
@@ -105,7 +102,7 @@ impl GpuEngine {
         settings.validate()?;
         check_section(&Section::default(), radius_mm)?;
         let points = Points::Section { count: points };
-        Ok(Workspace::new(&self.context, &self.passes, settings, &[radius_mm], &points, false)?)
+        Ok(Workspace::new(&self.runner.context, &self.runner.passes, settings, &[radius_mm], &points, false)?)
     }
 
     /// Records the whole fit of a workspace into a command encoder. Nothing is submitted.
@@ -116,7 +113,14 @@ impl GpuEngine {
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses a pipeline.
     pub fn record(&self, workspace: &Workspace, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
-        Ok(workspace.record(&self.context, &self.passes, encoder, CpuStages::None, false, &mut |_| None)?)
+        Ok(workspace.record(
+            &self.runner.context,
+            &self.runner.passes,
+            encoder,
+            CpuStages::None,
+            false,
+            &mut |_| None,
+        )?)
     }
 
     /// As [`GpuEngine::record`], each pass in a compute pass of its own with the timestamps that `timer` gives
@@ -131,7 +135,14 @@ impl GpuEngine {
         timer: &mut (dyn FnMut(&'static str) -> Option<wgpu::ComputePassTimestampWrites<'a>> + 'a),
     ) -> Result<()> {
         let timer: &mut Timer<'a> = timer;
-        Ok(workspace.record(&self.context, &self.passes, encoder, CpuStages::None, false, timer)?)
+        Ok(workspace.record(
+            &self.runner.context,
+            &self.runner.passes,
+            encoder,
+            CpuStages::None,
+            false,
+            timer,
+        )?)
     }
 
     /// Device memory for the cylinders of a job, a workspace a batch, with the points on the device.
@@ -144,10 +155,10 @@ impl GpuEngine {
         self.batches(job)?.iter().map(|batch| self.workspace_of(job, batch)).collect()
     }
 
-    /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back: how a pass is
+    /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back, so that a pass can be
     /// compared with its twin on identical inputs.
     ///
-    /// Outputs that are not among the inputs are filled with ones before, so that what a pass leaves out shows.
+    /// Outputs that are not among the inputs are filled with ones first, so that what the pass does not write shows.
     ///
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where there is no such pass or buffer, or the device fails.
@@ -158,21 +169,23 @@ impl GpuEngine {
         inputs: &[(&str, &[u8])],
         outputs: &[&str],
     ) -> Result<Vec<Vec<u8>>> {
-        let ready = self.passes.iter().find(|ready| ready.pass.shader.name == pass);
-        let unknown =
-            |what: &str| GpuError::Refused { what: what.into(), reason: "no such pass or buffer".into() };
-        let ready = ready.ok_or_else(|| unknown(pass))?;
-        for name in inputs.iter().map(|(name, _)| name).chain(outputs) {
-            workspace.has(name).then_some(()).ok_or_else(|| unknown(name))?;
-        }
-        for name in outputs {
-            let ones = vec![0xff; workspace.buffer(name).size() as usize];
-            checked(&self.context.device, name, || workspace.write(&self.context, name, &ones))?;
-        }
-        for (name, bytes) in inputs {
-            checked(&self.context.device, name, || workspace.write(&self.context, name, bytes))?;
-        }
-        Ok(self.run(workspace, outputs, |encoder| workspace.record_one(&self.context, ready, encoder))?)
+        let find = |name: &str| workspace.find(name);
+        let read = self.runner.run_pass(pass, inputs, outputs, workspace.bytes(), find, |ready, encoder| {
+            workspace.record_one(&self.runner.context, ready, encoder)
+        });
+        Ok(read?)
+    }
+
+    /// Runs the whole fit of a workspace and waits for it. Nothing is read back.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) where the device fails.
+    pub(crate) fn run_resident(&self, workspace: &Workspace) -> Result<()> {
+        let Runner { context, passes, .. } = &self.runner;
+        self.run(workspace, &[], |encoder, timer| {
+            workspace.record(context, passes, encoder, CpuStages::None, false, timer)
+        })?;
+        Ok(())
     }
 
     /// Submits what `record` records and reads some of a workspace's buffers back, whole.
@@ -180,10 +193,10 @@ impl GpuEngine {
         &self,
         workspace: &Workspace,
         names: &[&str],
-        record: impl FnOnce(&mut wgpu::CommandEncoder) -> Result<(), GpuError>,
+        record: impl FnOnce(&mut wgpu::CommandEncoder, &mut Timer) -> Result<(), GpuError>,
     ) -> Result<Vec<Vec<u8>>, GpuError> {
         let buffers: Vec<&wgpu::Buffer> = names.iter().map(|name| workspace.buffer(name)).collect();
-        self.context.run(workspace.bytes(), &buffers, record)
+        self.runner.run(workspace.bytes(), &buffers, record)
     }
 
     /// Runs a workspace and takes its tubes apart; with the sections of its cylinders, after the CPU's stages.
@@ -202,13 +215,13 @@ impl GpuEngine {
         let begun = match sections {
             None => Vec::new(),
             Some(sections) => {
-                stages::begin(&self.context, workspace, done, settings, radii_mm, history, sections)?
+                stages::begin(&self.runner.context, workspace, done, settings, radii_mm, history, sections)?
             }
         };
         let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "long_faces", "history"];
         let names = if history { &names[..] } else { &names[..7] };
-        let read = self.run(workspace, names, |encoder| {
-            workspace.record(&self.context, &self.passes, encoder, done, history, &mut |_| None)
+        let read = self.run(workspace, names, |encoder, timer| {
+            workspace.record(&self.runner.context, &self.runner.passes, encoder, done, history, timer)
         })?;
         let words = |k: usize| bytemuck::pod_collect_to_vec::<u8, u32>(&read[k]);
         let numbers = |k: usize| bytemuck::pod_collect_to_vec::<u8, f32>(&read[k]);
@@ -288,7 +301,7 @@ impl GpuEngine {
                 Ok((radius_mm, job.track.near(frame, job.settings)?.collect()))
             })
             .collect::<Result<_>>()?;
-        let limits = self.context.device.limits();
+        let limits = self.runner.context.device.limits();
         let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         let tube = Tube::new(job.settings);
         // What grows fastest with each of them: 12 bytes a slot, 24 a face, 4 a node for each iteration of the
@@ -345,7 +358,7 @@ impl GpuEngine {
         let points: Vec<[f32; 2]> =
             job.track.echoes_mm()[batch.points.clone()].iter().map(|p| [p.x as f32, p.y as f32]).collect();
         let points = Points::Pairs { points: &points, pairs: &batch.pairs };
-        let (context, passes) = (&self.context, &self.passes);
+        let (context, passes) = (&self.runner.context, &self.runner.passes);
         Ok(Workspace::new(context, passes, job.settings, &batch.radii_mm, &points, job.history)?)
     }
 
@@ -375,8 +388,7 @@ impl GpuEngine {
 
 impl Engine for GpuEngine {
     fn describe(&self) -> EngineDescription {
-        let adapter = self.adapter().map(|a| format!("{} ({}, {})", a.name, a.backend, a.driver));
-        EngineDescription { name: "gpu".into(), adapter, why: None }
+        EngineDescription { name: "gpu".into(), adapter: self.runner.describe(), why: None }
     }
 
     fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>> {
@@ -403,7 +415,7 @@ impl Engine for GpuEngine {
         let workspace = self.prepare(count, radius_mm, settings)?;
         let rows: Vec<[f32; 3]> =
             (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
-        workspace.write(&self.context, "section", bytemuck::cast_slice(&rows));
+        workspace.write(&self.runner.context, "section", bytemuck::cast_slice(&rows));
         let sections = (self.cpu_stages != CpuStages::None).then(|| std::slice::from_ref(section));
         let mut tubes = self.tubes(&workspace, settings, &[radius_mm], false, sections)?;
         let Some(mut tube) = tubes.pop() else {

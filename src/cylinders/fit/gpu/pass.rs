@@ -1,6 +1,7 @@
 //! The passes on the device: what each binds and how many invocations a workgroup has, written once.
 
-use crate::gpu::{Access, Shader, constants};
+use crate::gpu::constants;
+use crate::gpu::shader::shader;
 use crate::numerics::ANGLE_COEFFICIENTS;
 
 /// When a pass runs.
@@ -42,15 +43,7 @@ pub enum Items {
 }
 
 /// A row of the pass table.
-#[derive(Debug)]
-pub struct Pass {
-    /// Its text, in `shaders/`, and what that asks for.
-    pub shader: Shader,
-    /// When it runs.
-    pub stage: Stage,
-    /// What its workgroups are for.
-    pub items: Items,
-}
+pub type Pass = crate::gpu::Pass<Stage, Items>;
 
 const JOB: &str = include_str!("../../../../shaders/cylinders/common/job.wgsl");
 const ANGLE: &str = include_str!("../../../../shaders/cylinders/common/angle.wgsl");
@@ -58,25 +51,22 @@ const DISTANCE: &str = include_str!("../../../../shaders/cylinders/common/distan
 const EXACT: &str = include_str!("../../../../shaders/common/exact.wgsl");
 const FILTER: &str = include_str!("../../../../shaders/cylinders/common/filter.wgsl");
 
+/// A row: name and, where it differs, `in` the file's, stage, items, workgroup size, common files, bindings (a variable is
+/// bound to the buffer of its name, or `=` to that of another), and `{ field: value }` of what few shaders have.
 macro_rules! pass {
-    ($name:literal, $stage:ident, $items:ident, $size:literal, [$($common:ident),*],
-     [$($binding:literal: $access:ident),* $(,)?], $variants:expr) => {
+    ($name:literal $(in $file:literal)?, $stage:ident, $items:ident, $size:literal, [$($common:ident),*],
+     [$($binding:tt)*], { $($field:tt)* }) => {
         Pass {
-            shader: Shader {
-                name: $name,
-                own_source: include_str!(concat!("../../../../shaders/cylinders/", $name, ".wgsl")),
-                common: &[JOB, $($common),*],
-                constants: angle_constants,
-                bindings: &[("job", Access::Uniform), $(($binding, Access::$access)),*],
-                workgroup_size: $size,
-                variants: $variants,
-            },
+            shader: shader!(
+                "cylinders", $name $(in $file)?, $size, [JOB, $($common),*], ["job": Uniform, $($binding)*],
+                { preamble: angle_constants, $($field)* }
+            ),
             stage: Stage::$stage,
             items: Items::$items,
         }
     };
-    ($name:literal, $stage:ident, $items:ident, $size:literal, $common:tt, $bindings:tt) => {
-        pass!($name, $stage, $items, $size, $common, $bindings, None)
+    ($($row:tt)*) => {
+        pass!($($row)*, {})
     };
 }
 
@@ -93,7 +83,7 @@ pub static PASSES: [Pass; 13] = [
     pass!("classify", Classify, AllFaces, 256, [], ["offsets": Read, "long_faces": Write]),
     pass!("measure_short", Iterate, ShortFaces, 128, [DISTANCE, EXACT, FILTER], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
-    ], Some(("LANES", &LANES))),
+    ], { variants: Some(("LANES", &LANES)) }),
     pass!("measure_long", Iterate, LongFaces, 256, [DISTANCE, EXACT, FILTER], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
         "long_faces": Write, "keys": Write,

@@ -2,7 +2,7 @@
 
 use super::pass::{Items, LANES, Pass, Stage};
 use super::{CpuStages, DeviceCylinder, DeviceJob, DevicePair, ReadyPass};
-use crate::gpu::{Buffers, Context, GpuError};
+use crate::gpu::{Buffers, Context, GpuError, Timer, dispatch_size};
 use crate::settings::Settings;
 use std::collections::BTreeMap;
 
@@ -28,9 +28,6 @@ pub struct Workspace {
     bind_groups: BTreeMap<&'static str, Vec<wgpu::BindGroup>>,
     travel_stride: u64,
 }
-
-/// Receives how long passes take, if somebody wants to know.
-pub(super) type Timer<'a> = dyn FnMut(&'static str) -> Option<wgpu::ComputePassTimestampWrites<'a>> + 'a;
 
 /// The name and the size in bytes of every buffer of a job.
 pub(super) fn sizes(
@@ -121,7 +118,7 @@ impl Workspace {
         let alignment = u64::from(limits.min_storage_buffer_offset_alignment);
         let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
         let sizes = sizes(&job, point_count, settings.iterations, history, travel_stride);
-        let buffers = Buffers::new(context, &sizes, &["history"])?;
+        let buffers = Buffers::new(context, passes, &sizes)?;
 
         let mut bind_groups = BTreeMap::new();
         for ReadyPass { pass, pipeline } in passes {
@@ -170,9 +167,9 @@ impl Workspace {
         context.write(&self.buffers[name], bytes);
     }
 
-    /// Whether there is a buffer of that name.
-    pub(super) fn has(&self, name: &str) -> bool {
-        self.buffers.find(name).is_some()
+    /// The buffer of that name, where there is one.
+    pub(super) fn find(&self, name: &str) -> Option<&wgpu::Buffer> {
+        self.buffers.find(name)
     }
 
     /// A buffer by its name in the pass table.
@@ -220,9 +217,8 @@ impl Workspace {
             Items::Faces => (job.faces.div_ceil(size), job.cylinders),
             Items::Nodes => (job.node_count.div_ceil(size), job.cylinders),
         };
-        // A dimension holds 65,535 at most.
-        let rows = count.div_ceil(65_535).max(1);
-        [count.div_ceil(rows), if count == 0 { 0 } else { rows }, layers]
+        let [x, y] = dispatch_size(count);
+        [x, y, layers]
     }
 
     /// Puts one pass into a compute pass; one without work is left out.

@@ -3,44 +3,35 @@
 mod pass;
 mod workspace;
 
-pub use pass::{Items, PASSES, Pass};
-pub use workspace::Workspace;
+pub use pass::{Items, PASSES, Pass, Stage};
+pub use workspace::WallWorkspace;
 
 use crate::Result;
 use crate::engine::EngineDescription;
-use crate::gpu::{AdapterDescription, Context, GpuError, Pipeline, checked};
+use crate::gpu::{AdapterDescription, Context, GpuError, Runner};
 use crate::numerics::banded::Dissected;
 use crate::sweep::wall::echo::{self, OUT_OF_PLANE};
 use crate::sweep::wall::grid::{Ease, Grid, MOST_STEPS};
-use crate::sweep::wall::passes::{Echo, Factors, Job, State};
+use crate::sweep::wall::passes::{DeviceEcho, Factors, State, WallParameters};
 use crate::sweep::wall::{Drawn, Round, WallEngine};
-use pass::{PRECONDITION, STEP};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Steps of conjugate gradients between two looks at whether they are near enough. Steps that come too late find that
-/// out by themselves and do nothing.
-const STEPS_A_SUBMISSION: usize = 10;
+/// Steps of conjugate gradients between two tests of convergence on the CPU. Steps after convergence do
+/// nothing.
+const STEPS_PER_SUBMISSION: usize = 10;
 
-/// Five sums a node are counted in u32.
-const MOST_NODES: usize = (u32::MAX / 5) as usize;
+/// Indices of the sums are u32, five per node.
+const MAX_NODES: usize = (u32::MAX / 5) as usize;
 
 /// A pass made ready on a device.
-struct ReadyPass {
-    pass: &'static Pass,
-    pipeline: Pipeline,
-}
+type ReadyPass = crate::gpu::ReadyPass<Stage, Items>;
 
 /// Fits walls on a device.
-pub struct SweepEngine {
-    context: Context,
-    passes: Vec<ReadyPass>,
-    /// Device time of each pass so far, in seconds, while somebody wants to know.
-    times: Mutex<Option<BTreeMap<&'static str, f64>>>,
+pub struct GpuWallEngine {
+    runner: Runner<Stage, Items>,
 }
 
-impl SweepEngine {
+impl GpuWallEngine {
     /// The engine on the adapter whose name contains `adapter` (without regard to case), or on the best one.
     ///
     /// # Errors
@@ -49,8 +40,8 @@ impl SweepEngine {
         Self::on(Context::new(adapter)?)
     }
 
-    /// The engine on a host's device, which must meet [`Requirements`](crate::gpu::Requirements). No handler of the
-    /// host's is replaced.
+    /// The engine on a host's device, which must meet [`Requirements`](crate::gpu::Requirements). The host's
+    /// error handlers stay in place.
     ///
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses a shader.
@@ -59,27 +50,22 @@ impl SweepEngine {
     }
 
     fn on(context: Context) -> Result<Self> {
-        let passes = PASSES
-            .iter()
-            .map(|pass| Ok(ReadyPass { pass, pipeline: Pipeline::new(&context.device, &pass.shader)? }))
-            .collect::<Result<Vec<_>, GpuError>>()?;
-        Ok(Self { context, passes, times: Mutex::default() })
+        Ok(Self { runner: Runner::new(context, &PASSES)? })
     }
 
     /// The adapter, where the engine chose it.
     pub fn adapter(&self) -> Option<&AdapterDescription> {
-        self.context.adapter.as_ref()
+        self.runner.adapter()
     }
 
     /// The device.
     pub fn device(&self) -> &wgpu::Device {
-        &self.context.device
+        &self.runner.context.device
     }
 
-    /// What it is, for a report.
+    /// The engine's description for a report.
     pub fn describe(&self) -> EngineDescription {
-        let adapter = self.adapter().map(|a| format!("{} ({}, {})", a.name, a.backend, a.driver));
-        EngineDescription { name: "gpu".into(), adapter, why: None }
+        EngineDescription { name: "gpu".into(), adapter: self.runner.describe(), why: None }
     }
 
     /// Builds every pipeline now rather than when it is first needed.
@@ -87,136 +73,64 @@ impl SweepEngine {
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses one.
     pub fn warm_up(&self) -> Result<()> {
-        Ok(self.passes.iter().try_for_each(|ready| ready.pipeline.warm_up(&self.context.device))?)
+        Ok(self.runner.warm_up()?)
     }
 
-    /// Does some work and tells the device time of each pass in it, in seconds, in the order of their names; nothing
-    /// where the device cannot time passes.
+    /// Does some work and returns with it the device time of each of its passes, in seconds, in the order of
+    /// their names. There are no times where the device has no timestamps.
     ///
     /// # Errors
     /// The work's.
     pub fn timed<R>(&self, work: impl FnOnce(&Self) -> Result<R>) -> Result<(R, Vec<(&'static str, f64)>)> {
-        let can = self.context.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
-        *self.times() = can.then(BTreeMap::new);
-        let done = work(self);
-        let times = self.times().take().unwrap_or_default();
-        Ok((done?, times.into_iter().collect()))
-    }
-
-    fn times(&self) -> MutexGuard<'_, Option<BTreeMap<&'static str, f64>>> {
-        self.times.lock().unwrap_or_else(PoisonError::into_inner)
+        self.runner.timed(|| work(self))
     }
 
     /// Device memory for a wall and the echoes about it.
     ///
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where they do not fit the device.
-    pub fn prepare(&self, job: &Job, echoes: &[Echo]) -> Result<Workspace> {
-        Ok(Workspace::new(&self.context, &self.passes, job, echoes)?)
+    pub fn prepare(&self, parameters: &WallParameters, echoes: &[DeviceEcho]) -> Result<WallWorkspace> {
+        Ok(WallWorkspace::new(&self.runner.context, &self.runner.passes, parameters, echoes)?)
     }
 
-    /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back: how a pass is
-    /// compared with its twin on identical inputs. Buffers that every chunk has are the first chunk's.
+    /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back, so that a pass
+    /// can be compared with its twin on identical inputs. Of buffers that every chunk has, the first chunk's
+    /// are meant.
     ///
-    /// Outputs that are not among the inputs are filled with ones before, so that what a pass leaves out shows.
+    /// Outputs that are not among the inputs are filled with ones first, so that what the pass does not write
+    /// shows.
     ///
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where there is no such pass or buffer, or the device fails.
     pub fn run_pass(
         &self,
-        workspace: &Workspace,
+        workspace: &WallWorkspace,
         pass: &str,
         inputs: &[(&str, &[u8])],
         outputs: &[&str],
     ) -> Result<Vec<Vec<u8>>> {
-        let find = |name: &str| {
-            workspace
-                .find(name)
-                .ok_or_else(|| GpuError::Refused { what: name.into(), reason: "no such buffer".into() })
-        };
-        let outputs = outputs.iter().map(|name| find(name)).collect::<Result<Vec<_>, _>>()?;
-        let write = |buffer: &wgpu::Buffer, bytes: &[u8]| {
-            checked(&self.context.device, "input", || self.context.write(buffer, bytes))
-        };
-        for buffer in &outputs {
-            write(buffer, &vec![0xff; buffer.size() as usize])?;
-        }
-        for (name, bytes) in inputs {
-            write(find(name)?, bytes)?;
-        }
-        Ok(self.run(workspace, &[pass], &outputs, |_| ())?)
+        let find = |name: &str| workspace.find(name);
+        let read = self.runner.run_pass(pass, inputs, outputs, workspace.bytes(), find, |ready, encoder| {
+            workspace.record(&self.runner.context, [ready], encoder, &mut |_| None)
+        });
+        Ok(read?)
     }
 
-    /// Runs some passes, one after the other, behind what `prepare` records, and reads buffers back.
+    /// Runs the passes of some stages, one after the other, after the commands that `prepare` records, and
+    /// reads buffers back.
     fn run(
         &self,
-        workspace: &Workspace,
-        passes: &[&str],
+        workspace: &WallWorkspace,
+        stages: &[Stage],
         buffers: &[&wgpu::Buffer],
         prepare: impl FnOnce(&mut wgpu::CommandEncoder),
     ) -> Result<Vec<Vec<u8>>, GpuError> {
-        let find = |name: &str| {
-            let ready = workspace::row(name).and_then(|row| self.passes.get(row));
-            ready.ok_or_else(|| GpuError::Refused { what: name.into(), reason: "no such pass".into() })
-        };
-        let passes = passes.iter().map(|name| find(name)).collect::<Result<Vec<_>, GpuError>>()?;
-        if self.times().is_some() && !passes.is_empty() {
-            return self.run_timed(workspace, &passes, buffers, prepare);
-        }
-        self.context.run(workspace.bytes(), buffers, |encoder| {
+        let Runner { context, passes, .. } = &self.runner;
+        let of = |stage: Stage| passes.iter().filter(move |ready| ready.pass.stage == stage);
+        self.runner.run(workspace.bytes(), buffers, |encoder, timer| {
             prepare(encoder);
-            let mut compute = encoder.begin_compute_pass(&Default::default());
-            passes.iter().try_for_each(|ready| workspace.dispatch(&self.context, ready, &mut compute))
+            workspace.record(context, stages.iter().copied().flat_map(of), encoder, timer)
         })
-    }
-
-    /// As [`run`](Self::run), each pass in a compute pass of its own between two timestamps.
-    fn run_timed(
-        &self,
-        workspace: &Workspace,
-        passes: &[&ReadyPass],
-        buffers: &[&wgpu::Buffer],
-        prepare: impl FnOnce(&mut wgpu::CommandEncoder),
-    ) -> Result<Vec<Vec<u8>>, GpuError> {
-        let device = &self.context.device;
-        let count = 2 * passes.len() as u32;
-        let queries = device.create_query_set(&wgpu::QuerySetDescriptor {
-            label: None,
-            ty: wgpu::QueryType::Timestamp,
-            count,
-        });
-        let resolved = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("timestamps"),
-            size: 8 * u64::from(count),
-            usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
-            mapped_at_creation: false,
-        });
-        let mut read = self.context.run(workspace.bytes(), &[buffers, &[&resolved]].concat(), |encoder| {
-            prepare(encoder);
-            for (ready, first) in passes.iter().zip((0..count).step_by(2)) {
-                let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                    label: Some(ready.pass.shader.name),
-                    timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
-                        query_set: &queries,
-                        beginning_of_pass_write_index: Some(first),
-                        end_of_pass_write_index: Some(first + 1),
-                    }),
-                });
-                workspace.dispatch(&self.context, ready, &mut compute)?;
-            }
-            encoder.resolve_query_set(&queries, 0..count, &resolved, 0);
-            Ok(())
-        })?;
-        let ticks: Vec<u64> =
-            read.pop().map(|bytes| bytemuck::pod_collect_to_vec(&bytes)).unwrap_or_default();
-        let period_s = f64::from(self.context.queue.get_timestamp_period()) * 1e-9;
-        if let Some(times) = self.times().as_mut() {
-            for (ready, ticks) in passes.iter().zip(ticks.chunks_exact(2)) {
-                *times.entry(ready.pass.shader.name).or_default() +=
-                    ticks[1].saturating_sub(ticks[0]) as f64 * period_s;
-            }
-        }
-        Ok(read)
     }
 
     /// A wall and echoes on the device.
@@ -226,56 +140,60 @@ impl SweepEngine {
         echoes: &'a mut [echo::Echo],
         start_mm: f64,
     ) -> Result<OnDevice<'a>> {
-        if grid.node_count() > MOST_NODES {
+        if grid.node_count() > MAX_NODES {
             let what = format!("a wall of {} nodes", grid.node_count());
-            return Err(GpuError::Refused { what, reason: format!("{MOST_NODES} at most") }.into());
+            return Err(GpuError::Refused { what, reason: format!("{MAX_NODES} at most") }.into());
         }
         let (rings, nodes) = (grid.rings as u32, grid.nodes as u32);
-        let job = Job::new(rings, nodes, start_mm, OUT_OF_PLANE);
-        let of_device: Vec<Echo> = echoes.iter().map(|echo| echo.for_device(grid, start_mm)).collect();
-        let workspace = self.prepare(&job, &of_device)?;
+        let parameters = WallParameters::new(rings, nodes, start_mm, OUT_OF_PLANE);
+        let of_device: Vec<DeviceEcho> = echoes.iter().map(|echo| echo.for_device(grid, start_mm)).collect();
+        let workspace = self.prepare(&parameters, &of_device)?;
         Ok(OnDevice { engine: self, workspace, grid, echoes, start_mm })
     }
 }
 
 /// The fit on a device.
 pub(in crate::sweep) struct OnDevice<'a> {
-    engine: &'a SweepEngine,
-    workspace: Workspace,
+    engine: &'a GpuWallEngine,
+    workspace: WallWorkspace,
     grid: &'a Grid,
     echoes: &'a mut [echo::Echo],
     start_mm: f64,
 }
 
 impl WallEngine for OnDevice<'_> {
-    fn measure(&mut self, noise_mm: f64, feet: bool) -> Result<f64> {
-        let context = &self.engine.context;
-        let job = Job { feet: u32::from(feet), ..self.workspace.job().with_noise(noise_mm) };
-        self.workspace.set_job(context, &job);
-        let state = State { rest: (self.echoes.len() / 2) as u32, ..State::default() };
+    fn measure(&mut self, noise_mm: f64, project: bool) -> Result<f64> {
+        let context = &self.engine.runner.context;
+        let parameters = WallParameters {
+            project: u32::from(project),
+            ..self.workspace.parameters().with_noise(noise_mm)
+        };
+        self.workspace.set_parameters(context, &parameters);
+        let state = State { rank: (self.echoes.len() / 2) as u32, ..State::default() };
         let of_device = self.workspace.shared("state");
         context.write(of_device, bytemuck::bytes_of(&state));
-        let digit = ["count_misses", "pick_digit"];
-        let passes = [&["measure"][..], &digit, &digit, &digit, &digit].concat();
-        let read = self.engine.run(&self.workspace, &passes, &[of_device], |_| ())?;
+        let digit = Stage::MedianDigit;
+        let stages = [Stage::Measure, digit, digit, digit, digit];
+        let read = self.engine.run(&self.workspace, &stages, &[of_device], |_| ())?;
         let state: State = bytemuck::pod_read_unaligned(&read[0]);
-        let miss_mm = f32::from_bits(state.prefix);
-        if state.round != 4 || !miss_mm.is_finite() {
-            return Err(GpuError::Wrong { what: "median miss", found: format!("{miss_mm} mm") }.into());
+        let residual_mm = f32::from_bits(state.prefix);
+        if state.digits != 4 || !residual_mm.is_finite() {
+            return Err(
+                GpuError::Wrong { what: "median residual", found: format!("{residual_mm} mm") }.into()
+            );
         }
-        Ok(f64::from(miss_mm))
+        Ok(f64::from(residual_mm))
     }
 
     fn draw(&mut self, round: &Round) -> Result<Drawn> {
-        let (engine, context, grid) = (self.engine, &self.engine.context, self.grid);
-        let job = Job { gated: u32::from(!round.rough), ..*self.workspace.job() }
+        let (engine, context, grid) = (self.engine, &self.engine.runner.context, self.grid);
+        let parameters = WallParameters { gated: u32::from(!round.rough), ..*self.workspace.parameters() }
             .with_noise(round.noise_mm)
             .with_smoothness(round.smoothness_mm2, grid.step_mm, grid.arc_mm);
-        self.workspace.set_job(context, &job);
+        self.workspace.set_parameters(context, &parameters);
         let sums = ["sums_low", "sums_high"].map(|name| self.workspace.shared(name));
         let ring_weights = self.workspace.shared("ring_weights");
-        let passes = ["accumulate", "assemble", "weigh_rings"];
-        let read = engine.run(&self.workspace, &passes, &[ring_weights], |encoder| {
+        let read = engine.run(&self.workspace, &[Stage::Equations], &[ring_weights], |encoder| {
             sums.iter().for_each(|sums| encoder.clear_buffer(sums, 0, None));
         })?;
         let ring_weights: Vec<f64> = bytemuck::pod_collect_to_vec::<u8, f32>(&read[0])
@@ -284,24 +202,25 @@ impl WallEngine for OnDevice<'_> {
             .map(f64::from)
             .collect();
 
-        // In f64 and on the CPU, where nearly singular systems keep their sign: where no echo lies, only the wall's
-        // bending holds a ring.
+        // In f64 and on the CPU, where nearly singular systems stay positive definite: without echoes on a
+        // ring, only the wall's bending determines it.
         let weight: f64 = ring_weights.iter().sum();
-        let factors = factors(grid, &job, ring_weights, round.smoothness_mm2);
+        let factors = factors(grid, &parameters, ring_weights, round.smoothness_mm2);
         let factors =
             factors.ok_or(GpuError::Wrong { what: "weights of the rings", found: weight.to_string() })?;
         context.write(self.workspace.shared("factors"), bytemuck::cast_slice(&factors.rings));
-        context.write(self.workspace.shared("joints"), bytemuck::cast_slice(&factors.joints));
-        // The residual of a wall without radius: that of the wall is compared with it.
+        context.write(self.workspace.shared("separators"), bytemuck::cast_slice(&factors.separators));
+        // The right-hand side for whole radii, in the preconditioner's norm: the reference of the relative
+        // residual.
         context.write(self.workspace.shared("state"), bytemuck::bytes_of(&State::default()));
-        let whole =
-            self.sum_of_partials(&[&["aim"], &PRECONDITION[..]].concat(), self.workspace.wave_groups())?;
-        let enough = round.tolerance * round.tolerance * whole;
-        self.workspace.set_job(context, &Job { enough: enough as f32, ..job });
-        let solver_steps = self.solve()?;
+        let stages = [Stage::RightHandSide, Stage::Precondition];
+        let whole = self.sum_of_partials(&stages, self.workspace.frequency_groups())?;
+        let max_residual_square = (round.tolerance * round.tolerance * whole) as f32;
+        self.workspace.set_parameters(context, &WallParameters { max_residual_square, ..parameters });
+        let solver_steps = self.conjugate_gradients()?;
 
         let count = grid.node_count();
-        let travel_mm = self.sum_of_partials(&["move_wall"], count.div_ceil(256))? / count as f64;
+        let travel_mm = self.sum_of_partials(&[Stage::Move], count.div_ceil(256))? / count as f64;
         if !travel_mm.is_finite() {
             return Err(GpuError::Wrong { what: "travel of the nodes", found: travel_mm.to_string() }.into());
         }
@@ -309,17 +228,18 @@ impl WallEngine for OnDevice<'_> {
     }
 
     fn finish(self) -> Result<Vec<f64>> {
-        let (shifts, misses) = (self.workspace.of_chunks("shifts"), self.workspace.of_chunks("misses"));
+        let (shifts, residuals) = (self.workspace.of_chunks("shifts"), self.workspace.of_chunks("residuals"));
         let chunks = self.workspace.chunk_count();
         let wall = [self.workspace.shared("wall")];
-        let read = self.engine.run(&self.workspace, &[], &[&wall[..], &shifts, &misses].concat(), |_| ())?;
-        let (shifts, misses) = read[1..].split_at(chunks);
+        let read =
+            self.engine.run(&self.workspace, &[], &[&wall[..], &shifts, &residuals].concat(), |_| ())?;
+        let (shifts, residuals) = read[1..].split_at(chunks);
         let mut echoes = self.echoes.iter_mut();
-        for ((shifts, misses), count) in shifts.iter().zip(misses).zip(self.workspace.echo_counts()) {
+        for ((shifts, residuals), count) in shifts.iter().zip(residuals).zip(self.workspace.echo_counts()) {
             let shifts: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(shifts);
-            let misses: Vec<f32> = bytemuck::pod_collect_to_vec(misses);
-            for ((echo, shift), miss) in echoes.by_ref().take(count).zip(shifts).zip(misses) {
-                echo.set_way(shift.map(f64::from), f64::from(miss));
+            let residuals: Vec<f32> = bytemuck::pod_collect_to_vec(residuals);
+            for ((echo, shift), residual) in echoes.by_ref().take(count).zip(shifts).zip(residuals) {
+                echo.set_way(shift.map(f64::from), f64::from(residual));
             }
         }
         let wall: Vec<f32> = bytemuck::pod_collect_to_vec(&read[0]);
@@ -329,22 +249,22 @@ impl WallEngine for OnDevice<'_> {
 }
 
 impl OnDevice<'_> {
-    /// Runs passes and adds up what the workgroups of the last one have summed up.
-    fn sum_of_partials(&self, passes: &[&str], count: usize) -> Result<f64> {
-        let read = self.engine.run(&self.workspace, passes, &[self.workspace.shared("partials")], |_| ())?;
+    /// Runs stages and adds up the partial sums of the workgroups of the last pass.
+    fn sum_of_partials(&self, stages: &[Stage], count: usize) -> Result<f64> {
+        let read = self.engine.run(&self.workspace, stages, &[self.workspace.shared("partials")], |_| ())?;
         let partials = bytemuck::pod_collect_to_vec::<u8, f32>(&read[0]);
         Ok(partials.into_iter().take(count).map(f64::from).sum())
     }
 
-    /// Conjugate gradients, until the device says that it is near enough; returns the number of steps.
-    fn solve(&self) -> Result<usize> {
+    /// Conjugate gradients until convergence; returns the number of steps.
+    fn conjugate_gradients(&self) -> Result<usize> {
         let [state, residual, product] =
-            ["state", "residual", "product"].map(|name| self.workspace.shared(name));
-        let steps = [&PRECONDITION[..], &STEP].concat().repeat(STEPS_A_SUBMISSION);
-        for submission in 0..MOST_STEPS.div_ceil(STEPS_A_SUBMISSION) {
+            ["state", "cg_residual", "product"].map(|name| self.workspace.shared(name));
+        let steps = [Stage::Precondition, Stage::Step].repeat(STEPS_PER_SUBMISSION);
+        for submission in 0..MOST_STEPS.div_ceil(STEPS_PER_SUBMISSION) {
             let read = self.engine.run(&self.workspace, &steps, &[state], |encoder| {
                 if submission == 0 {
-                    // Where `assemble` has left it.
+                    // `assemble` has written it there.
                     encoder.copy_buffer_to_buffer(product, 0, residual, 0, Some(product.size()));
                 }
             })?;
@@ -357,24 +277,31 @@ impl OnDevice<'_> {
     }
 }
 
-/// The preconditioner's systems, factored; `None` where the weights are no numbers.
-fn factors(grid: &Grid, job: &Job, ring_weights: Vec<f64>, smoothness_mm2: f64) -> Option<Factors> {
+/// The factored systems of the preconditioner; `None` where the weights are not finite.
+fn factors(
+    grid: &Grid,
+    parameters: &WallParameters,
+    ring_weights: Vec<f64>,
+    smoothness_mm2: f64,
+) -> Option<Factors> {
     let weights = grid.even_weights(ring_weights);
     let (rings, frequencies) = (grid.rings, grid.nodes / 2 + 1);
     let systems: Vec<Dissected> = (0..frequencies)
         .into_par_iter()
         .map(|frequency| {
             let system = grid.system(frequency, &weights, smoothness_mm2, &Ease::default());
-            system.dissected(job.blocks as usize, job.block_rings as usize)
+            system.dissected(parameters.blocks as usize, parameters.block_rings as usize)
         })
         .collect::<Option<_>>()?;
-    let mut factors = Factors::zeroed(job);
+    let mut factors = Factors::zeroed(parameters);
     factors.rings.par_chunks_mut(frequencies).enumerate().for_each(|(k, plane)| {
         let (part, ring) = (k / rings, k % rings);
         plane.iter_mut().zip(&systems).for_each(|(factor, system)| *factor = system.rows[ring][part] as f32);
     });
-    for (joint, row) in factors.joints.chunks_mut(frequencies).enumerate() {
-        row.iter_mut().zip(&systems).for_each(|(factors, s)| *factors = s.joints[joint].map(|x| x as f32));
+    for (separator, row) in factors.separators.chunks_mut(frequencies).enumerate() {
+        row.iter_mut()
+            .zip(&systems)
+            .for_each(|(factors, s)| *factors = s.joints[separator].map(|x| x as f32));
     }
     Some(factors)
 }
@@ -383,7 +310,10 @@ fn factors(grid: &Grid, job: &Job, ring_weights: Vec<f64>, smoothness_mm2: f64) 
 mod tests {
     use super::*;
     use crate::sweep::wall::grid::Solver;
-    use crate::sweep::wall::passes::{couple, eliminate, join_values, join_waves, part, substitute, waves};
+    use crate::sweep::wall::passes::{
+        couple, eliminate, hartley_first, hartley_second_spectrum, hartley_second_values, substitute,
+        twiddles,
+    };
 
     /// Uneven weights, and rings before, amid and behind them without any.
     fn ring_weights(rings: usize) -> Vec<f64> {
@@ -396,23 +326,32 @@ mod tests {
     fn systems_in_blocks_have_the_solutions_of_whole_ones() {
         for (rings, nodes, smoothness) in [(9, 8, 1.0), (100, 9, 1e-3), (300, 24, 60.0), (301, 24, 60.0)] {
             let grid = Grid::new(rings, nodes, 1.1, 4.0);
-            let job = Job::new(rings as u32, nodes as u32, 4.0, 0.1);
-            let factors = factors(&grid, &job, ring_weights(rings), smoothness).unwrap();
-            let waves = waves(nodes as u32);
+            let parameters = WallParameters::new(rings as u32, nodes as u32, 4.0, 0.1);
+            let factors = factors(&grid, &parameters, ring_weights(rings), smoothness).unwrap();
+            let twiddles = twiddles(nodes as u32);
             let values: Vec<f32> =
                 (0..grid.node_count()).map(|i| (0.37 * (i * i % 977) as f32).sin()).collect();
-            let mut spectrum = join_waves(&job, &waves, &part(&job, &waves, &values));
-            let pulls = eliminate(&job, &factors, &mut spectrum);
-            couple(&job, &factors, &pulls, &mut spectrum);
-            substitute(&job, &factors, &mut spectrum);
-            let (found, _) = join_values(&job, &waves, &part(&job, &waves, &spectrum), &values);
+            let mut spectrum = hartley_second_spectrum(
+                &parameters,
+                &twiddles,
+                &hartley_first(&parameters, &twiddles, &values),
+            );
+            let updates = eliminate(&parameters, &factors, &mut spectrum);
+            couple(&parameters, &factors, &updates, &mut spectrum);
+            substitute(&parameters, &factors, &mut spectrum);
+            let (found, _) = hartley_second_values(
+                &parameters,
+                &twiddles,
+                &hartley_first(&parameters, &twiddles, &spectrum),
+                &values,
+            );
 
             let mut expected: Vec<f64> = values.iter().map(|&x| f64::from(x)).collect();
             Solver::new(grid).precondition_evenly(ring_weights(rings), smoothness, &mut expected);
             let scale = expected.iter().map(|x| x.abs()).fold(0.0, f64::max);
             let apart =
                 found.iter().zip(&expected).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
-            // Ends that no echo holds are held by the bending alone: there rounding counts most.
+            // Without echoes, only the bending determines the ends: rounding matters most there.
             assert!(apart < 2e-3 * scale, "{rings} rings of {nodes}: {apart:e} of {scale:e}");
         }
     }
@@ -420,6 +359,6 @@ mod tests {
     #[test]
     fn weights_that_are_no_numbers_have_no_factors() {
         let grid = Grid::new(100, 9, 1.1, 4.0);
-        assert!(factors(&grid, &Job::new(100, 9, 4.0, 0.1), vec![f64::NAN; 100], 1.0).is_none());
+        assert!(factors(&grid, &WallParameters::new(100, 9, 4.0, 0.1), vec![f64::NAN; 100], 1.0).is_none());
     }
 }

@@ -1,115 +1,126 @@
-//! The passes of the wall's fit on the device: what each binds and what its workgroups are for, written once.
+//! The table of passes of the wall's fit on the device.
 
-use crate::gpu::{Access, Shader};
+use crate::gpu::shader::shader;
 
-/// What a pass has a workgroup or an invocation for.
+/// The part of the fit to which a pass belongs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// The residual and the projection of every echo.
+    Measure,
+    /// A digit of the median of the residuals: four times.
+    MedianDigit,
+    /// The equations of a reweighting.
+    Equations,
+    /// Their right-hand side for whole radii.
+    RightHandSide,
+    /// The preconditioner, in each step of conjugate gradients.
+    Precondition,
+    /// The rest of each step of conjugate gradients.
+    Step,
+    /// The move of the wall by their solution.
+    Move,
+}
+
+/// The items that the workgroups or invocations of a pass process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Items {
-    /// An invocation an echo of a chunk.
+    /// One invocation per echo of a chunk.
     Echoes,
-    /// A workgroup for every 4096 echoes of a chunk.
+    /// One workgroup per 4096 echoes of a chunk.
     EchoBlocks,
     /// One workgroup.
     One,
-    /// An invocation a node.
+    /// One invocation per node.
     Nodes,
-    /// A workgroup a ring.
+    /// One workgroup per ring.
     Rings,
-    /// An invocation a frequency of each ring.
+    /// One invocation per frequency of each ring.
     Frequencies,
-    /// An invocation a wave of a block of rings.
-    BlockWaves,
-    /// An invocation a wave.
-    Waves,
+    /// One invocation per Hartley coefficient of each block of rings.
+    BlockCoefficients,
+    /// One invocation per Hartley coefficient.
+    Coefficients,
 }
 
 /// A row of the pass table.
-#[derive(Debug)]
-pub struct Pass {
-    /// Its text, in `shaders/sweep/`, and what that asks for.
-    pub shader: Shader,
-    /// What its workgroups are for.
-    pub items: Items,
-}
+pub type Pass = crate::gpu::Pass<Stage, Items>;
 
-const JOB: &str = include_str!("../../../../shaders/sweep/common/job.wgsl");
-const ECHO: &str = include_str!("../../../../shaders/sweep/common/echo.wgsl");
+const PARAMETERS: &str = include_str!("../../../../shaders/sweep/common/parameters.wgsl");
+const WALL_RESIDUAL: &str = include_str!("../../../../shaders/sweep/common/wall_residual.wgsl");
 const BENDING: &str = include_str!("../../../../shaders/sweep/common/bending.wgsl");
 const BLOCKS: &str = include_str!("../../../../shaders/sweep/common/blocks.wgsl");
 const COUPLED: &str = include_str!("../../../../shaders/sweep/common/coupled.wgsl");
 const PARTIALS: &str = include_str!("../../../../shaders/sweep/common/partials.wgsl");
 const SUM: &str = include_str!("../../../../shaders/sweep/common/sum.wgsl");
-const JOIN: &str = include_str!("../../../../shaders/sweep/common/join.wgsl");
-const PART: &str = include_str!("../../../../shaders/sweep/common/part.wgsl");
+const HARTLEY_SECOND: &str = include_str!("../../../../shaders/sweep/common/hartley_second.wgsl");
+const DISPATCH: &str = include_str!("../../../../shaders/common/dispatch.wgsl");
 const EXACT: &str = include_str!("../../../../shaders/common/exact.wgsl");
+const SCAN: &str = include_str!("../../../../shaders/common/scan.wgsl");
 
+/// A row: name and, where it differs, `in` the file's; stage, items, workgroup size, common files and
+/// bindings.
 macro_rules! pass {
-    ($name:literal, $items:ident, $size:literal, [$($common:ident),*],
-     [$($binding:literal: $access:ident),* $(,)?]) => {
+    ($name:literal $(in $file:literal)?, $stage:ident, $items:ident, $size:literal, [$($common:ident),*],
+     [$($binding:tt)*]) => {
         Pass {
-            shader: Shader {
-                name: $name,
-                own_source: include_str!(concat!("../../../../shaders/sweep/", $name, ".wgsl")),
-                common: &[JOB, $($common),*],
-                constants: String::new,
-                bindings: &[("job", Access::Uniform), $(($binding, Access::$access)),*],
-                workgroup_size: $size,
-                variants: None,
-            },
+            shader: shader!(
+                "sweep", $name $(in $file)?, $size, [PARAMETERS, DISPATCH, $($common),*],
+                ["parameters": Uniform, $($binding)*], {}
+            ),
+            stage: Stage::$stage,
             items: Items::$items,
         }
     };
 }
 
-/// Every pass, in the order in which they run: `count_misses` and `pick_digit` four times, those from `part_residual` to
-/// `advance` once for each step of conjugate gradients.
+/// Every pass, in the order in which they run.
 pub static PASSES: [Pass; 20] = [
-    pass!("measure", Echoes, 256, [ECHO], ["echoes": Read, "wall": Read, "shifts": Write, "misses": Write]),
-    pass!("count_misses", EchoBlocks, 256, [], ["misses": Read, "state": Read, "counts": Write]),
-    pass!("pick_digit", One, 256, [], ["counts": Write, "state": Write]),
-    pass!("accumulate", Echoes, 256, [ECHO, EXACT], [
+    pass!("measure", Measure, Echoes, 256, [WALL_RESIDUAL], [
+        "echoes": Read, "wall": Read, "shifts": Write, "residuals": Write,
+    ]),
+    pass!("count_residuals", MedianDigit, EchoBlocks, 256, [], ["residuals": Read, "state": Read, "counts": Write]),
+    pass!("pick_digit", MedianDigit, One, 256, [SCAN], ["counts": Write, "state": Write]),
+    pass!("accumulate", Equations, Echoes, 256, [WALL_RESIDUAL, EXACT], [
         "echoes": Read, "wall": Read, "shifts": Read, "sums_low": Write, "sums_high": Write,
     ]),
-    pass!("assemble", Nodes, 256, [BENDING, EXACT], [
+    pass!("assemble", Equations, Nodes, 256, [BENDING, EXACT], [
         "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Write, "product": Write, "change": Write,
         "direction": Write,
     ]),
-    pass!("aim", Nodes, 256, [COUPLED, EXACT], [
-        "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Read, "residual": Write,
+    pass!("weigh_rings", Equations, Rings, 256, [SUM], ["rows": Read, "ring_weights": Write]),
+    pass!("assemble_rhs", RightHandSide, Nodes, 256, [COUPLED, EXACT], [
+        "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Read, "cg_residual": Write,
     ]),
-    pass!("weigh_rings", Rings, 256, [SUM], ["rows": Read, "ring_weights": Write]),
-    pass!("part_residual", Nodes, 256, [PART], [
-        "state": Read, "waves": Read, "residual": Read, "parts": Write,
+    pass!("hartley_first_residual" in "hartley_first", Precondition, Nodes, 256, [], [
+        "state": Read, "twiddles": Read, "values" = "cg_residual": Read, "intermediate": Write,
     ]),
-    pass!("join_waves", Frequencies, 256, [JOIN], [
-        "state": Read, "waves": Read, "parts": Read, "spectrum": Write,
+    pass!("hartley_second_spectrum", Precondition, Frequencies, 256, [HARTLEY_SECOND], [
+        "state": Read, "twiddles": Read, "intermediate": Read, "spectrum": Write,
     ]),
-    pass!("eliminate", BlockWaves, 64, [BLOCKS], [
-        "state": Read, "factors": Read, "spectrum": Write, "pulls": Write,
+    pass!("eliminate", Precondition, BlockCoefficients, 64, [BLOCKS], [
+        "state": Read, "factors": Read, "spectrum": Write, "updates": Write,
     ]),
-    pass!("couple", Waves, 64, [BLOCKS], [
-        "state": Read, "joints": Read, "pulls": Read, "spectrum": Write,
+    pass!("couple", Precondition, Coefficients, 64, [BLOCKS], [
+        "state": Read, "separators": Read, "updates": Read, "spectrum": Write,
     ]),
-    pass!("substitute", BlockWaves, 64, [BLOCKS], ["state": Read, "factors": Read, "spectrum": Write]),
-    pass!("part_waves", Nodes, 256, [PART], [
-        "state": Read, "waves": Read, "spectrum": Read, "parts": Write,
+    pass!("substitute", Precondition, BlockCoefficients, 64, [BLOCKS], [
+        "state": Read, "factors": Read, "spectrum": Write,
     ]),
-    pass!("join_values", Frequencies, 256, [JOIN, SUM], [
-        "state": Read, "waves": Read, "parts": Read, "residual": Read, "preconditioned": Write, "partials": Write,
+    pass!("hartley_first_spectrum" in "hartley_first", Precondition, Nodes, 256, [], [
+        "state": Read, "twiddles": Read, "values" = "spectrum": Read, "intermediate": Write,
     ]),
-    pass!("turn", One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
-    pass!("redirect", Nodes, 256, [], ["state": Read, "preconditioned": Read, "direction": Write]),
-    pass!("apply", Nodes, 256, [BENDING, COUPLED, SUM], [
+    pass!("hartley_second_values", Precondition, Frequencies, 256, [HARTLEY_SECOND, SUM], [
+        "state": Read, "twiddles": Read, "intermediate": Read, "cg_residual": Read, "preconditioned": Write,
+        "partials": Write,
+    ]),
+    pass!("cg_beta", Step, One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
+    pass!("cg_direction", Step, Nodes, 256, [], ["state": Read, "preconditioned": Read, "direction": Write]),
+    pass!("apply", Step, Nodes, 256, [BENDING, COUPLED, SUM], [
         "state": Read, "rows": Read, "direction": Read, "product": Write, "partials": Write,
     ]),
-    pass!("stride", One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
-    pass!("advance", Nodes, 256, [], [
-        "state": Read, "direction": Read, "product": Read, "change": Write, "residual": Write,
+    pass!("cg_alpha", Step, One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
+    pass!("cg_step", Step, Nodes, 256, [], [
+        "state": Read, "direction": Read, "product": Read, "change": Write, "cg_residual": Write,
     ]),
-    pass!("move_wall", Nodes, 256, [SUM], ["change": Read, "wall": Write, "partials": Write]),
+    pass!("move_wall", Move, Nodes, 256, [SUM], ["change": Read, "wall": Write, "partials": Write]),
 ];
-
-/// The passes of the preconditioner, and those that follow it in a step of conjugate gradients.
-pub(super) const PRECONDITION: [&str; 7] =
-    ["part_residual", "join_waves", "eliminate", "couple", "substitute", "part_waves", "join_values"];
-pub(super) const STEP: [&str; 5] = ["turn", "redirect", "apply", "stride", "advance"];

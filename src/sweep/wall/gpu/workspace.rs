@@ -1,17 +1,18 @@
-//! The device memory of a wall's fit and the recording of its passes.
+//! The device memory of a wall's fit, and the recording of its passes.
 
+use super::ReadyPass;
 use super::pass::{Items, Pass};
-use super::{PASSES, ReadyPass};
-use crate::gpu::{Buffers, Context, GpuError};
-use crate::sweep::wall::passes::{Echo, Job, State, waves};
+use crate::gpu::{Buffers, Context, GpuError, Timer, dispatch_size};
+use crate::sweep::wall::passes::{DeviceEcho, State, WallParameters, twiddles};
 use std::collections::BTreeMap;
 
 /// The device memory of a wall and the echoes about it.
 ///
-/// Echoes lie in chunks, each in buffers of its own, since no binding is larger than a device allows. Passes over echoes
-/// run once a chunk; all others see the first chunk's job, which differs from the others' in the number of echoes alone.
-pub struct Workspace {
-    job: Job,
+/// Echoes lie in chunks, each in buffers of its own, since devices limit the size of a binding. Passes over
+/// echoes run once per chunk. All other passes bind the parameters of the first chunk, which differ from
+/// those of the others in the number of echoes only.
+pub struct WallWorkspace {
+    parameters: WallParameters,
     buffers: Buffers,
     chunks: Vec<Chunk>,
 }
@@ -22,12 +23,13 @@ struct Chunk {
     bind_groups: BTreeMap<&'static str, wgpu::BindGroup>,
 }
 
-/// Bytes that an echo takes in the largest of its buffers.
-const ECHO_BYTES: u64 = size_of::<Echo>() as u64;
+/// Bytes per echo in the largest of its buffers.
+const ECHO_BYTES: u64 = size_of::<DeviceEcho>() as u64;
 
 /// Name and size in bytes of the buffers that belong to no chunk.
-fn sizes(job: &Job) -> Vec<(&'static str, u64)> {
-    let [nodes, rings, around, blocks] = [job.node_count, job.rings, job.nodes, job.blocks].map(u64::from);
+fn sizes(parameters: &WallParameters) -> Vec<(&'static str, u64)> {
+    let [nodes, rings, around, blocks] =
+        [parameters.node_count, parameters.rings, parameters.nodes, parameters.blocks].map(u64::from);
     let frequencies = around / 2 + 1;
     vec![
         ("state", size_of::<State>() as u64),
@@ -37,48 +39,48 @@ fn sizes(job: &Job) -> Vec<(&'static str, u64)> {
         ("sums_high", 20 * nodes),
         ("rows", 16 * nodes),
         ("ring_weights", 4 * rings),
-        ("waves", 8 * around),
+        ("twiddles", 8 * around),
         ("factors", 20 * rings * frequencies),
-        ("joints", 32 * (blocks - 1) * frequencies),
-        ("pulls", 16 * blocks * around),
-        ("residual", 4 * nodes),
-        ("parts", 8 * nodes),
+        ("separators", 32 * (blocks - 1) * frequencies),
+        ("updates", 16 * blocks * around),
+        ("cg_residual", 4 * nodes),
+        ("intermediate", 8 * nodes),
         ("spectrum", 4 * nodes),
         ("preconditioned", 4 * nodes),
         ("direction", 4 * nodes),
         ("product", 4 * nodes),
         ("change", 4 * nodes),
-        ("partials", 4 * nodes.div_ceil(256).max(u64::from(wave_groups(job)))),
+        ("partials", 4 * nodes.div_ceil(256).max(u64::from(frequency_groups(parameters)))),
     ]
 }
 
-/// Workgroups that join waves: 256 frequencies each.
-fn wave_groups(job: &Job) -> u32 {
-    (job.rings * (job.nodes / 2 + 1)).div_ceil(256)
+/// Workgroups of the second stage of a transform: 256 frequencies each.
+fn frequency_groups(parameters: &WallParameters) -> u32 {
+    (parameters.rings * (parameters.nodes / 2 + 1)).div_ceil(256)
 }
 
-impl Workspace {
+impl WallWorkspace {
     pub(super) fn new(
         context: &Context,
         passes: &[ReadyPass],
-        job: &Job,
-        echoes: &[Echo],
+        parameters: &WallParameters,
+        echoes: &[DeviceEcho],
     ) -> Result<Self, GpuError> {
         let limits = context.device.limits();
-        let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let max_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         // No chunk needs more than 2³² of anything.
-        let most_echoes = (most_bytes / ECHO_BYTES).clamp(1, u64::from(u32::MAX / 16)) as usize;
-        let buffers = Buffers::new(context, &sizes(job), &[])?;
-        let chunk = |echoes: &[Echo]| {
+        let max_echoes = (max_bytes / ECHO_BYTES).clamp(1, u64::from(u32::MAX / 16)) as usize;
+        let buffers = Buffers::new(context, passes, &sizes(parameters))?;
+        let chunk = |echoes: &[DeviceEcho]| {
             let count = echoes.len() as u64;
-            let job_bytes = size_of::<Job>() as u64;
+            let parameters_bytes = size_of::<WallParameters>() as u64;
             let sizes = [
-                ("job", job_bytes),
+                ("parameters", parameters_bytes),
                 ("echoes", ECHO_BYTES * count),
                 ("shifts", 8 * count),
-                ("misses", 4 * count),
+                ("residuals", 4 * count),
             ];
-            let own = Buffers::new(context, &sizes, &[])?;
+            let own = Buffers::new(context, passes, &sizes)?;
             let bind_groups = passes
                 .iter()
                 .map(|ready| {
@@ -89,23 +91,23 @@ impl Workspace {
             context.write(&own["echoes"], bytemuck::cast_slice(echoes));
             Ok(Chunk { echoes: echoes.len() as u32, buffers: own, bind_groups })
         };
-        // Without an echo there is one chunk without one.
+        // Without echoes there is one empty chunk.
         let chunks = match echoes {
             [] => vec![chunk(&[])?],
-            _ => echoes.chunks(most_echoes).map(chunk).collect::<Result<_, GpuError>>()?,
+            _ => echoes.chunks(max_echoes).map(chunk).collect::<Result<_, GpuError>>()?,
         };
-        let mut workspace = Self { job: *job, buffers, chunks };
-        context.write(workspace.shared("waves"), bytemuck::cast_slice(&waves(job.nodes)));
-        workspace.set_job(context, job);
+        let mut workspace = Self { parameters: *parameters, buffers, chunks };
+        context.write(workspace.shared("twiddles"), bytemuck::cast_slice(&twiddles(parameters.nodes)));
+        workspace.set_parameters(context, parameters);
         Ok(workspace)
     }
 
-    /// What the passes know of the job.
-    pub fn job(&self) -> &Job {
-        &self.job
+    /// The parameters of the passes.
+    pub fn parameters(&self) -> &WallParameters {
+        &self.parameters
     }
 
-    /// How many chunks the echoes lie in.
+    /// The number of chunks of echoes.
     pub fn chunk_count(&self) -> usize {
         self.chunks.len()
     }
@@ -115,7 +117,7 @@ impl Workspace {
         self.buffers.bytes() + self.chunks.iter().map(|chunk| chunk.buffers.bytes()).sum::<u64>()
     }
 
-    /// A buffer by its name in the pass table; of those that every chunk has, the first chunk's.
+    /// A buffer by its name in the pass table; the first chunk's, where every chunk has one.
     pub fn find(&self, name: &str) -> Option<&wgpu::Buffer> {
         self.buffers.find(name).or_else(|| self.chunks.first()?.buffers.find(name))
     }
@@ -130,51 +132,51 @@ impl Workspace {
         self.chunks.iter().map(|chunk| &chunk.buffers[name]).collect()
     }
 
-    /// How many echoes each chunk has.
+    /// The number of echoes of each chunk.
     pub(super) fn echo_counts(&self) -> impl Iterator<Item = usize> {
         self.chunks.iter().map(|chunk| chunk.echoes as usize)
     }
 
-    /// Workgroups that join waves.
-    pub(super) fn wave_groups(&self) -> usize {
-        wave_groups(&self.job) as usize
+    /// Workgroups of the second stage of a transform: as many as it has partial sums.
+    pub(super) fn frequency_groups(&self) -> usize {
+        frequency_groups(&self.parameters) as usize
     }
 
-    /// Tells the passes of a job on the same grid.
-    pub(super) fn set_job(&mut self, context: &Context, job: &Job) {
+    /// Sets the parameters of the passes; the grid and the number of echoes stay.
+    pub(super) fn set_parameters(&mut self, context: &Context, parameters: &WallParameters) {
         for chunk in &self.chunks {
-            let job = Job { echoes: chunk.echoes, ..*job };
-            context.write(&chunk.buffers["job"], bytemuck::bytes_of(&job));
+            let parameters = WallParameters { echoes: chunk.echoes, ..*parameters };
+            context.write(&chunk.buffers["parameters"], bytemuck::bytes_of(&parameters));
         }
-        self.job = Job { echoes: self.chunks.first().map_or(0, |chunk| chunk.echoes), ..*job };
+        self.parameters =
+            WallParameters { echoes: self.chunks.first().map_or(0, |chunk| chunk.echoes), ..*parameters };
     }
 
-    /// Puts a pass into a compute pass, over all chunks where it goes over echoes.
-    pub(super) fn dispatch(
+    /// Puts a pass into a compute pass, over all chunks where it processes echoes.
+    fn dispatch(
         &self,
         context: &Context,
         ready: &ReadyPass,
         compute: &mut wgpu::ComputePass,
     ) -> Result<(), GpuError> {
-        let Pass { shader, items } = ready.pass;
+        let Pass { shader, items, .. } = ready.pass;
         compute.set_pipeline(ready.pipeline.get(&context.device, 0)?);
         for chunk in &self.chunks {
-            let (job, size) = (&self.job, shader.workgroup_size);
+            let (parameters, size) = (&self.parameters, shader.workgroup_size);
             let count = match items {
                 Items::Echoes => chunk.echoes.div_ceil(size),
                 Items::EchoBlocks => chunk.echoes.div_ceil(4096),
                 Items::One => 1,
-                Items::Nodes => job.node_count.div_ceil(size),
-                Items::Rings => job.rings,
-                Items::Frequencies => wave_groups(job),
-                Items::BlockWaves => (job.blocks * job.nodes).div_ceil(size),
-                Items::Waves => job.nodes.div_ceil(size),
+                Items::Nodes => parameters.node_count.div_ceil(size),
+                Items::Rings => parameters.rings,
+                Items::Frequencies => frequency_groups(parameters),
+                Items::BlockCoefficients => (parameters.blocks * parameters.nodes).div_ceil(size),
+                Items::Coefficients => parameters.nodes.div_ceil(size),
             };
-            // A dimension holds 65,535 at most.
-            let rows = count.div_ceil(65_535).max(1);
             if count > 0 {
+                let [x, y] = dispatch_size(count);
                 compute.set_bind_group(0, &chunk.bind_groups[shader.name], &[]);
-                compute.dispatch_workgroups(count.div_ceil(rows), rows, 1);
+                compute.dispatch_workgroups(x, y, 1);
             }
             if !matches!(items, Items::Echoes | Items::EchoBlocks) {
                 break;
@@ -182,9 +184,30 @@ impl Workspace {
         }
         Ok(())
     }
-}
 
-/// The row of a pass.
-pub(super) fn row(name: &str) -> Option<usize> {
-    PASSES.iter().position(|pass| pass.shader.name == name)
+    /// Records passes one after the other, each in a compute pass of its own where `timer` gives timestamps.
+    pub(super) fn record<'a>(
+        &self,
+        context: &Context,
+        passes: impl IntoIterator<Item = &'a ReadyPass>,
+        encoder: &mut wgpu::CommandEncoder,
+        timer: &mut Timer,
+    ) -> Result<(), GpuError> {
+        let mut passes = passes.into_iter().peekable();
+        while let Some(first) = passes.peek() {
+            let timestamp_writes = timer(first.pass.shader.name);
+            let timed = timestamp_writes.is_some();
+            let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some("lumenmesh wall"),
+                timestamp_writes,
+            });
+            for ready in passes.by_ref() {
+                self.dispatch(context, ready, &mut compute)?;
+                if timed {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
 }

@@ -1,15 +1,17 @@
-//! The gradient of the bending energy (`shaders/sweep/common/bending.wgsl`). In f64 this is `Grid::add_bending`.
+//! The gradient of the bending energy (`shaders/sweep/common/bending.wgsl`). In f64 this is
+//! `Grid::add_bending`.
 
-use super::Job;
+use super::WallParameters;
 
-/// Of three in a row. From differences, which are exact where neighbours are alike.
+/// The second difference of three values in a row, from first differences: these are exact where neighbours
+/// are alike.
 fn second_difference(a: f32, b: f32, c: f32) -> f32 {
     (c - b) - (b - a)
 }
 
 /// The gradient of λ times the bending energy of `x` at node j of ring k.
-pub fn bending(job: &Job, x: &[f32], k: usize, j: usize) -> f32 {
-    let (rings, nodes) = (job.rings as usize, job.nodes as usize);
+pub fn bending(parameters: &WallParameters, x: &[f32], k: usize, j: usize) -> f32 {
+    let (rings, nodes) = (parameters.rings as usize, parameters.nodes as usize);
     let row = k * nodes;
     let after = |j: usize| if j + 1 == nodes { 0 } else { j + 1 };
     let previous = |j: usize| if j == 0 { nodes - 1 } else { j - 1 };
@@ -45,7 +47,7 @@ pub fn bending(job: &Job, x: &[f32], k: usize, j: usize) -> f32 {
             - ((x_above - x[above + before]) - (here - x_before));
     }
     let along = (arch_below - arch) + (arch_above - arch);
-    job.along * along + job.around * around + job.twist * twist
+    parameters.along * along + parameters.around * around + parameters.twist * twist
 }
 
 #[cfg(test)]
@@ -57,13 +59,17 @@ mod tests {
     fn the_bending_is_the_cpu_s() {
         for rings in [3, 4, 7] {
             let grid = Grid { rings, nodes: 8, step_mm: 1.3, arc_mm: 0.9 };
-            let job = Job::new(rings as u32, 8, 5.0, 0.1).with_smoothness(3.0, grid.step_mm, grid.arc_mm);
+            let parameters = WallParameters::new(rings as u32, 8, 5.0, 0.1).with_smoothness(
+                3.0,
+                grid.step_mm,
+                grid.arc_mm,
+            );
             let x: Vec<f32> = (0..8 * rings).map(|i| (0.7 * (i * i) as f32).sin()).collect();
             let mut expected = vec![0.0; x.len()];
             let wide: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
             grid.add_bending(&wide, 3.0, &crate::sweep::wall::grid::Ease::default(), &mut expected);
             for (node, expected) in expected.iter().enumerate() {
-                let found = bending(&job, &x, node / 8, node % 8);
+                let found = bending(&parameters, &x, node / 8, node % 8);
                 // Some thirty roundings of sums of up to 64 numbers of at most 1, times 4.
                 assert!((f64::from(found) - expected).abs() < 1e-5 * 64.0, "{node}: {found} {expected}");
             }

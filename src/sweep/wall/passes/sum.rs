@@ -1,6 +1,6 @@
-//! Sums in a fixed order (`shaders/sweep/common/sum.wgsl`, `partials.wgsl`).
+//! Sums in a fixed order (`shaders/sweep/common/sum.wgsl`).
 
-/// The sum of a workgroup's numbers, whose count is a power of two.
+/// The sum of a workgroup's numbers. Their count is a power of two.
 pub fn sum_of_workgroup(addends: &mut [f32]) -> f32 {
     let mut half = addends.len() / 2;
     while half > 0 {
@@ -9,15 +9,6 @@ pub fn sum_of_workgroup(addends: &mut [f32]) -> f32 {
         half /= 2;
     }
     addends[0]
-}
-
-/// The sum of what workgroups have summed up, by one of 256.
-pub fn sum_of_partials(partials: &[f32]) -> f32 {
-    let mut own = [0.0; 256];
-    for (i, partial) in partials.iter().enumerate() {
-        own[i % 256] += partial;
-    }
-    sum_of_workgroup(&mut own)
 }
 
 /// The sums of workgroups of 256.

@@ -1,15 +1,15 @@
-// How far to go. One workgroup.
+// Conjugate gradients: the length α of the next step. One workgroup.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> partials: array<f32>;
 @group(0) @binding(2) var<storage, read_write> state: State;
 
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) local: u32) {
-    let bent = sum_of_partials((job.node_count + 255u) / 256u, local);
+    let curvature = sum_of_partials((parameters.node_count + 255u) / 256u, local);
     if (local == 0u && state.done == 0u) {
-        if (bent > 0.0) {
-            state.length = state.size / bent;
+        if (curvature > 0.0) {
+            state.alpha = state.residual_square / curvature;
             state.steps += 1u;
         } else {
             state.done = 1u;

@@ -1,6 +1,6 @@
-// The next direction.
+// Conjugate gradients: the next direction.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> state: State;
 @group(0) @binding(2) var<storage, read> preconditioned: array<f32>;
 @group(0) @binding(3) var<storage, read_write> direction: array<f32>;
@@ -12,8 +12,8 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let node = workgroup_index(group, groups) * 256u + local;
-    if (state.done != 0u || node >= job.node_count) {
+    if (state.done != 0u || node >= parameters.node_count) {
         return;
     }
-    direction[node] = preconditioned[node] + state.turn * direction[node];
+    direction[node] = preconditioned[node] + state.beta * direction[node];
 }

@@ -1,11 +1,11 @@
-// A step along the direction.
+// Conjugate gradients: a step along the direction.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> state: State;
 @group(0) @binding(2) var<storage, read> direction: array<f32>;
 @group(0) @binding(3) var<storage, read> product: array<f32>;
 @group(0) @binding(4) var<storage, read_write> change: array<f32>;
-@group(0) @binding(5) var<storage, read_write> residual: array<f32>;
+@group(0) @binding(5) var<storage, read_write> cg_residual: array<f32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -14,9 +14,9 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let node = workgroup_index(group, groups) * 256u + local;
-    if (state.done != 0u || node >= job.node_count) {
+    if (state.done != 0u || node >= parameters.node_count) {
         return;
     }
-    change[node] += state.length * direction[node];
-    residual[node] -= state.length * product[node];
+    change[node] += state.alpha * direction[node];
+    cg_residual[node] -= state.alpha * product[node];
 }

@@ -1,7 +1,8 @@
-// How many misses have each next digit, among those whose first digits are known.
+// Histogram of the next digit of |residual|, over the residuals that share the digits of the median known so
+// far.
 
-@group(0) @binding(0) var<uniform> job: Job;
-@group(0) @binding(1) var<storage, read> misses: array<f32>;
+@group(0) @binding(0) var<uniform> parameters: WallParameters;
+@group(0) @binding(1) var<storage, read> residuals: array<f32>;
 @group(0) @binding(2) var<storage, read> state: State;
 @group(0) @binding(3) var<storage, read_write> counts: array<atomic<u32>>;
 
@@ -15,14 +16,14 @@ fn main(
 ) {
     atomicStore(&own_counts[local], 0u);
     workgroupBarrier();
-    let shift = 24u - 8u * state.round;
-    // Sixteen a invocation, so that the workgroup's own counts are worth it.
+    let shift = 24u - 8u * state.digits;
+    // 16 residuals per invocation, so that most counting happens in workgroup memory.
     let first = workgroup_index(group, groups) * 4096u + local;
-    for (var turn = 0u; turn < 16u; turn++) {
-        let index = first + 256u * turn;
-        if (index < job.echoes) {
-            let key = bitcast<u32>(misses[index]) & 0x7fffffffu;
-            // What lies above the digit; a shift by 32 is not defined.
+    for (var i = 0u; i < 16u; i++) {
+        let index = first + 256u * i;
+        if (index < parameters.echoes) {
+            let key = bitcast<u32>(residuals[index]) & 0x7fffffffu;
+            // The digits above this one; a shift by 32 is not defined.
             if ((key >> shift) >> 8u == (state.prefix >> shift) >> 8u) {
                 atomicAdd(&own_counts[(key >> shift) & 0xffu], 1u);
             }

@@ -1,0 +1,189 @@
+//! A pass table made ready on a device: what the engines of both methods share.
+
+use super::shader::Pass;
+use super::{AdapterDescription, Context, GpuError, Pipeline, checked};
+use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Most workgroups in a dimension of a dispatch.
+const MAX_WORKGROUPS: u32 = 65_535;
+
+/// Most passes of a submission that are timed: two timestamps each, and a set holds 4096.
+const MAX_TIMED_PASSES: usize = wgpu::QUERY_SET_MAX_QUERIES as usize / 2;
+
+/// The first two dimensions of a dispatch of `count` workgroups, or of a few more.
+pub(crate) fn dispatch_size(count: u32) -> [u32; 2] {
+    match count.div_ceil(MAX_WORKGROUPS) {
+        0 => [0, 0],
+        rows => [count.div_ceil(rows), rows],
+    }
+}
+
+/// Gives the timestamps that a pass writes, by the pass's name; `None` where it is not timed.
+pub(crate) type Timer<'a> = dyn FnMut(&'static str) -> Option<wgpu::ComputePassTimestampWrites<'a>> + 'a;
+
+/// A pass made ready on a device.
+pub(crate) struct ReadyPass<Stage: 'static, Items: 'static> {
+    pub(crate) pass: &'static Pass<Stage, Items>,
+    pub(crate) pipeline: Pipeline,
+}
+
+/// A device and the passes of a table made ready on it.
+pub(crate) struct Runner<Stage: 'static, Items: 'static> {
+    pub(crate) context: Context,
+    /// In the order of the table.
+    pub(crate) passes: Vec<ReadyPass<Stage, Items>>,
+    /// Device time of each pass so far, in seconds; `None` while passes are not timed.
+    times: Mutex<Option<BTreeMap<&'static str, f64>>>,
+}
+
+impl<Stage, Items> Runner<Stage, Items> {
+    /// Compiles every shader of a table.
+    pub(crate) fn new(context: Context, table: &'static [Pass<Stage, Items>]) -> Result<Self, GpuError> {
+        let passes = table
+            .iter()
+            .map(|pass| Ok(ReadyPass { pass, pipeline: Pipeline::new(&context.device, &pass.shader)? }))
+            .collect::<Result<_, GpuError>>()?;
+        Ok(Self { context, passes, times: Mutex::default() })
+    }
+
+    /// The adapter, where it was chosen here and not by a host.
+    pub(crate) fn adapter(&self) -> Option<&AdapterDescription> {
+        self.context.adapter.as_ref()
+    }
+
+    /// The adapter in words.
+    pub(crate) fn describe(&self) -> Option<String> {
+        self.adapter().map(|a| format!("{} ({}, {})", a.name, a.backend, a.driver))
+    }
+
+    /// Builds every pipeline now rather than when it is first needed.
+    pub(crate) fn warm_up(&self) -> Result<(), GpuError> {
+        self.passes.iter().try_for_each(|ready| ready.pipeline.warm_up(&self.context.device))
+    }
+
+    /// A pass by its name.
+    pub(crate) fn find(&self, name: &str) -> Result<&ReadyPass<Stage, Items>, GpuError> {
+        let unknown = || GpuError::Refused { what: name.into(), reason: "no such pass".into() };
+        self.passes.iter().find(|ready| ready.pass.shader.name == name).ok_or_else(unknown)
+    }
+
+    /// Does some work and returns with it the device time of each of its passes, in seconds, in the order of
+    /// their names. There are no times where the device has no timestamps.
+    pub(crate) fn timed<R, E>(
+        &self,
+        work: impl FnOnce() -> Result<R, E>,
+    ) -> Result<(R, Vec<(&'static str, f64)>), E> {
+        let can = self.context.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
+        *self.times() = can.then(BTreeMap::new);
+        let done = work();
+        let times = self.times().take().unwrap_or_default();
+        Ok((done?, times.into_iter().collect()))
+    }
+
+    fn times(&self) -> MutexGuard<'_, Option<BTreeMap<&'static str, f64>>> {
+        self.times.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Submits what `record` records, waits for it, and reads some buffers back, whole. `record` gets the
+    /// timer of its passes: where that gives timestamps, the pass needs a compute pass of its own. `needed`
+    /// is the device memory of the whole job, in bytes.
+    pub(crate) fn run(
+        &self,
+        needed: u64,
+        buffers: &[&wgpu::Buffer],
+        record: impl FnOnce(&mut wgpu::CommandEncoder, &mut Timer) -> Result<(), GpuError>,
+    ) -> Result<Vec<Vec<u8>>, GpuError> {
+        if self.times().is_none() {
+            return self.context.run(needed, buffers, |encoder| record(encoder, &mut |_| None));
+        }
+        let queries = self.context.device.create_query_set(&wgpu::QuerySetDescriptor {
+            label: None,
+            ty: wgpu::QueryType::Timestamp,
+            count: 2 * MAX_TIMED_PASSES as u32,
+        });
+        let resolved = self.context.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("timestamps"),
+            size: 16 * MAX_TIMED_PASSES as u64,
+            usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
+        let mut names = Vec::new();
+        let mut read = self.context.run(needed, &[buffers, &[&resolved]].concat(), |encoder| {
+            record(encoder, &mut |name| {
+                let first = 2 * names.len() as u32;
+                names.push(name);
+                (names.len() <= MAX_TIMED_PASSES).then_some(wgpu::ComputePassTimestampWrites {
+                    query_set: &queries,
+                    beginning_of_pass_write_index: Some(first),
+                    end_of_pass_write_index: Some(first + 1),
+                })
+            })?;
+            if names.len() > MAX_TIMED_PASSES {
+                let reason = format!("{} passes, {MAX_TIMED_PASSES} at most", names.len());
+                return Err(GpuError::Refused { what: "timestamps".into(), reason });
+            }
+            if !names.is_empty() {
+                encoder.resolve_query_set(&queries, 0..2 * names.len() as u32, &resolved, 0);
+            }
+            Ok(())
+        })?;
+        let ticks: Vec<u64> =
+            read.pop().map(|bytes| bytemuck::pod_collect_to_vec(&bytes)).unwrap_or_default();
+        let period_s = f64::from(self.context.queue.get_timestamp_period()) * 1e-9;
+        if let Some(times) = self.times().as_mut() {
+            for (name, ticks) in names.into_iter().zip(ticks.chunks_exact(2)) {
+                *times.entry(name).or_default() += ticks[1].saturating_sub(ticks[0]) as f64 * period_s;
+            }
+        }
+        Ok(read)
+    }
+
+    /// Runs one pass alone on given buffer contents, and reads buffers back. `find` finds a buffer by its
+    /// name, `record` records the pass.
+    ///
+    /// Outputs that are not among the inputs are filled with ones first, so that what the pass does not write
+    /// shows.
+    pub(crate) fn run_pass<'a>(
+        &self,
+        pass: &str,
+        inputs: &[(&str, &[u8])],
+        outputs: &[&str],
+        needed: u64,
+        find: impl Fn(&str) -> Option<&'a wgpu::Buffer>,
+        record: impl FnOnce(&ReadyPass<Stage, Items>, &mut wgpu::CommandEncoder) -> Result<(), GpuError>,
+    ) -> Result<Vec<Vec<u8>>, GpuError> {
+        let ready = self.find(pass)?;
+        let find = |name: &str| {
+            find(name).ok_or_else(|| GpuError::Refused { what: name.into(), reason: "no such buffer".into() })
+        };
+        let inputs: Vec<(&wgpu::Buffer, &[u8])> =
+            inputs.iter().map(|(name, bytes)| Ok((find(name)?, *bytes))).collect::<Result<_, GpuError>>()?;
+        let outputs = outputs.iter().map(|name| find(name)).collect::<Result<Vec<_>, _>>()?;
+        let write = |buffer: &wgpu::Buffer, bytes: &[u8]| {
+            checked(&self.context.device, "input", || self.context.write(buffer, bytes))
+        };
+        for buffer in &outputs {
+            write(buffer, &vec![0xff; buffer.size() as usize])?;
+        }
+        for (buffer, bytes) in inputs {
+            write(buffer, bytes)?;
+        }
+        self.run(needed, &outputs, |encoder, _| record(ready, encoder))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dispatch_has_a_workgroup_for_each_item_and_no_dimension_too_large() {
+        for count in [0, 1, 65_535, 65_536, 131_070, 131_071, 4_000_000_000] {
+            let [x, y] = dispatch_size(count);
+            assert!(x <= MAX_WORKGROUPS && y <= MAX_WORKGROUPS);
+            assert!(u64::from(x) * u64::from(y) >= u64::from(count));
+            assert!(u64::from(x) * u64::from(y) < u64::from(count) + u64::from(y.max(1)));
+        }
+    }
+}

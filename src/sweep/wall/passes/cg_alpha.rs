@@ -1,0 +1,17 @@
+//! Conjugate gradients: the length of the next step (`shaders/sweep/cg_alpha.wgsl`).
+
+use super::{State, sum_of_partials};
+
+/// The length α of the next step.
+pub fn cg_alpha(partials: &[f32], state: &mut State) {
+    let curvature = sum_of_partials(partials);
+    if state.done != 0 {
+        return;
+    }
+    if curvature > 0.0 {
+        state.alpha = state.residual_square / curvature;
+        state.steps += 1;
+    } else {
+        state.done = 1;
+    }
+}

@@ -1,0 +1,176 @@
+//! The structures that the passes share. Those of the shaders are in `shaders/sweep/common/parameters.wgsl`;
+//! a test compares the layouts.
+
+use crate::numerics::Scalar;
+use crate::sweep::wall::HUBER;
+use crate::sweep::wall::echo::{FARTHEST_FOOT_SDS, GATE_RADII, GATE_SDS};
+use bytemuck::{Pod, Zeroable};
+use std::f64::consts::TAU;
+
+/// `WallParameters` of the shaders: the uniform block of every pass.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct WallParameters {
+    /// Rings.
+    pub rings: u32,
+    /// N: nodes per ring.
+    pub nodes: u32,
+    /// Nodes of all rings.
+    pub node_count: u32,
+    /// Echoes in the buffer.
+    pub echoes: u32,
+    /// 1 where projections are moved.
+    pub project: u32,
+    /// 1 where far echoes are left out.
+    pub gated: u32,
+    /// Blocks of rings of the preconditioner.
+    pub blocks: u32,
+    /// Rings of each block but the last, which has the rest.
+    pub block_rings: u32,
+    /// Radius from which those of the wall and of the echoes are measured, mm.
+    pub start: f32,
+    /// 2π/N, rad.
+    pub step_theta: f32,
+    /// 1/N.
+    pub per_node: f32,
+    /// Share of the noise's variance that lies within the image planes only.
+    pub in_plane: f32,
+    /// σ, mm.
+    pub noise: f32,
+    /// 1/σ, 1/mm.
+    pub per_noise: f32,
+    /// Farthest that a projection lies from its echo, mm.
+    pub max_projection: f32,
+    /// Largest residual of an echo of the wall, mm …
+    pub gate: f32,
+    /// … or in radii.
+    pub gate_radii: f32,
+    /// Residual from which an echo's weight falls, mm.
+    pub huber: f32,
+    /// Steps per unit of the fixed-point sums of weights.
+    pub weight_scale: f32,
+    /// Its inverse.
+    pub weight_unit: f32,
+    /// Steps per unit of the fixed-point sums of right-hand sides, in units of the noise.
+    pub rhs_scale: f32,
+    /// Its inverse.
+    pub rhs_unit: f32,
+    /// λ times the bending along the axis, for each node.
+    pub along: f32,
+    /// λ times the bending about the axis, for each node.
+    pub around: f32,
+    /// λ times the twist, for each node.
+    pub twist: f32,
+    /// Square of the residual at which conjugate gradients stop, in the preconditioner's norm.
+    pub max_residual_square: f32,
+    /// The largest factor of N that is not above its root.
+    pub short_factor: u32,
+    /// The other factor.
+    pub long_factor: u32,
+}
+
+impl WallParameters {
+    /// A grid of rings and nodes per ring, with radii measured from `start_mm`, and a share `out_of_plane` of
+    /// the noise's variance across the image planes. The noise is still unknown.
+    pub fn new(rings: u32, nodes: u32, start_mm: f64, out_of_plane: f64) -> Self {
+        // A weight is at most 1/ε, where the image's normal is that of the wall; Huber bounds the weighted
+        // residual.
+        let weight_scale = f32::fixed_point_scale(1.0 / out_of_plane.min(1.0));
+        let rhs_scale = f32::fixed_point_scale(HUBER / out_of_plane.min(1.0).sqrt());
+        let block_rings = block_rings(rings);
+        let short_factor =
+            (1..=nodes.isqrt()).rev().find(|factor| nodes.is_multiple_of(*factor)).unwrap_or(1);
+        Self {
+            rings,
+            nodes,
+            node_count: rings * nodes,
+            blocks: (rings / block_rings).max(1),
+            block_rings,
+            start: start_mm as f32,
+            short_factor,
+            long_factor: nodes / short_factor,
+            step_theta: (TAU / f64::from(nodes)) as f32,
+            per_node: (1.0 / f64::from(nodes)) as f32,
+            in_plane: (1.0 - out_of_plane) as f32,
+            gate_radii: GATE_RADII as f32,
+            weight_scale,
+            weight_unit: 1.0 / weight_scale,
+            rhs_scale,
+            rhs_unit: 1.0 / rhs_scale,
+            ..Self::zeroed()
+        }
+    }
+
+    /// The same with a noise of `noise_mm`.
+    #[must_use]
+    pub fn with_noise(self, noise_mm: f64) -> Self {
+        Self {
+            noise: noise_mm as f32,
+            per_noise: (1.0 / noise_mm) as f32,
+            max_projection: (FARTHEST_FOOT_SDS * noise_mm) as f32,
+            gate: (GATE_SDS * noise_mm) as f32,
+            huber: (HUBER * noise_mm) as f32,
+            ..self
+        }
+    }
+
+    /// The same with a smoothness λ of `smoothness_mm2`, and rings and nodes at these distances.
+    #[must_use]
+    pub fn with_smoothness(self, smoothness_mm2: f64, step_mm: f64, arc_mm: f64) -> Self {
+        let area = smoothness_mm2 * step_mm * arc_mm;
+        Self {
+            along: (area / step_mm.powi(4)) as f32,
+            around: (area / arc_mm.powi(4)) as f32,
+            twist: (2.0 * area / (step_mm * arc_mm).powi(2)) as f32,
+            ..self
+        }
+    }
+}
+
+/// Rings of a block: about as many as there are blocks, since one invocation goes through a block, and one
+/// through the separators of all blocks.
+fn block_rings(rings: u32) -> u32 {
+    rings.isqrt().max(8)
+}
+
+/// `Echo` of the shaders: an echo in coordinates about the axis.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct DeviceEcho {
+    /// The ring below it.
+    pub ring: u32,
+    /// Its distance from that ring, as a fraction of the distance to the next.
+    pub ring_part: f32,
+    /// The node before it.
+    pub node: u32,
+    /// Its distance from that node, as a fraction of the distance to the next.
+    pub node_part: f32,
+    /// Its radius less `start` of the parameters, mm.
+    pub rise: f32,
+    /// Distance between two rings there, mm.
+    pub step: f32,
+    /// The image plane's normal: radial, about the axis, along it.
+    pub normal: [f32; 3],
+}
+
+/// `State` of the shaders: values that pass from pass to pass.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct State {
+    /// The known digits of the median: leading bytes of an f32 that is not negative.
+    pub prefix: u32,
+    /// The median's rank among the residuals that share them.
+    pub rank: u32,
+    /// The number of known digits, of four.
+    pub digits: u32,
+    /// 1 once conjugate gradients have converged.
+    pub done: u32,
+    /// The number of their steps.
+    pub steps: u32,
+    /// Square of the residual, in the preconditioner's norm.
+    pub residual_square: f32,
+    /// α: length of a step.
+    pub alpha: f32,
+    /// β: share of the last direction in the next.
+    pub beta: f32,
+}
