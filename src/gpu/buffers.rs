@@ -33,7 +33,8 @@ impl Buffers {
                 .iter()
                 .map(|&(name, size)| {
                     use wgpu::BufferUsages as Usage;
-                    let usage = if name == "job" { Usage::UNIFORM } else { Usage::STORAGE };
+                    let usage =
+                        if matches!(name, "job" | "parameters") { Usage::UNIFORM } else { Usage::STORAGE };
                     let buffer = context.device.create_buffer(&wgpu::BufferDescriptor {
                         label: Some(name),
                         // A binding of no bytes is an error.

@@ -1,7 +1,7 @@
 //! The device of these tests, and single passes run on it.
 
 use lumenmesh::gpu::adapters;
-use lumenmesh::low_level::cylinders::gpu::{GpuEngine, Workspace};
+use lumenmesh::low_level::cylinders::gpu::{FitWorkspace, GpuEngine};
 use std::io::Write;
 use std::sync::OnceLock;
 
@@ -75,7 +75,7 @@ impl Device {
     /// before.
     pub fn run<const N: usize>(
         &self,
-        workspace: &Workspace,
+        workspace: &FitWorkspace,
         pass: &str,
         inputs: &[(&str, &[u8])],
         outputs: [&str; N],

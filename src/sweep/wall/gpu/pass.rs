@@ -35,7 +35,7 @@ const PARTIALS: &str = include_str!("../../../../shaders/sweep/common/partials.w
 const SUM: &str = include_str!("../../../../shaders/sweep/common/sum.wgsl");
 const JOIN: &str = include_str!("../../../../shaders/sweep/common/join.wgsl");
 const PART: &str = include_str!("../../../../shaders/sweep/common/part.wgsl");
-const EXACT: &str = include_str!("../../../../shaders/common/exact.wgsl");
+const EXACT: &str = include_str!("../../../../shaders/common/scalar.wgsl");
 
 macro_rules! pass {
     ($name:literal $(in $file:literal)?, $items:ident, $size:literal, [$($common:ident),*], [$($binding:tt)*]) => {
