@@ -8,7 +8,7 @@
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on stops there")]
 
 use cpu_time::ProcessTime;
-use lumenmesh::cylinders::{CpuEngine, Engine, Job, Track, merged_frames};
+use lumenmesh::cylinders::{CpuEngine, Engine, FitRequest, Track, merged_frames};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
 use lumenmesh::study::bench::{Case, Parity};
@@ -96,10 +96,10 @@ fn whole_recording(rounds: usize) {
     let frames = merged_frames(recording.frames.len(), &settings);
     let fit = || {
         let track = Track::of(&recording, &settings).unwrap();
-        CpuEngine::<f32>::new().fit(&Job::new(&track, &frames, &settings)).unwrap()
+        CpuEngine::<f32>::new().fit(&FitRequest::new(&track, &frames, &settings)).unwrap()
     };
     let track = Track::of(&recording, &settings).unwrap();
-    let reference = CpuEngine::<f64>::new().fit(&Job::new(&track, &frames, &settings)).unwrap();
+    let reference = CpuEngine::<f64>::new().fit(&FitRequest::new(&track, &frames, &settings)).unwrap();
     for (ours, truth) in fit().iter().zip(&reference) {
         Parity::check(["reference", "cpu"], &truth.tube, &ours.tube).unwrap();
     }

@@ -13,6 +13,7 @@ pub mod cylinders {
     #[cfg(feature = "gpu")]
     pub use crate::cylinders::fit::gpu;
     pub use crate::cylinders::fit::passes;
+    pub use crate::cylinders::fit::{Groups, group};
 }
 
 /// The sweep: see [`crate::sweep`].

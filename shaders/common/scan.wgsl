@@ -3,8 +3,8 @@
 
 var<workgroup> running: array<vec2u, 256>;
 
-// Two prefix sums at once. All invocations must call it. The sums of all others stay in `running` afterwards; an
-// invocation that reads them puts a barrier before the next scan.
+// Two prefix sums at once. All invocations must call it. The sums of all others stay in `running` afterwards;
+// an invocation that reads them puts a barrier before the next scan.
 fn inclusive_scan_of_two(own: vec2u, local: u32) -> vec2u {
     running[local] = own;
     workgroupBarrier();

@@ -1,6 +1,6 @@
-// The faces with so many points that a workgroup each has to measure them, in no particular order.
+// The faces with more than `max_short` points, which measure_long takes, in no particular order.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> offsets: array<u32>;
 // Their number, then the faces.
 @group(0) @binding(2) var<storage, read_write> long_faces: array<atomic<u32>>;
@@ -12,10 +12,10 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let face = workgroup_index(group, groups) * 256u + local;
-    if (face >= job.cylinders * job.faces) {
+    if (face >= parameters.cylinders * parameters.faces) {
         return;
     }
-    if (offsets[face + 1u] - offsets[face] > job.short_most) {
+    if (offsets[face + 1u] - offsets[face] > parameters.max_short) {
         let index = atomicAdd(&long_faces[0], 1u);
         atomicStore(&long_faces[index + 1u], face);
     }

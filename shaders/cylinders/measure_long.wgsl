@@ -1,23 +1,22 @@
-// Distances and statistics of the faces with many points, a workgroup a face at a time. Order statistics by
-// selection on the keys, eight bits a round.
+// Distances and statistics of the faces with many points; a workgroup takes one face at a time. Order
+// statistics by selection on the keys, eight bits per round (radix select).
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> offsets: array<u32>;
 @group(0) @binding(3) var<storage, read> grouped: array<f32>;
 @group(0) @binding(4) var<storage, read> radii: array<f32>;
 @group(0) @binding(5) var<storage, read_write> statistics: array<TriangleStatistic>;
-// Their number, then the faces; the last word counts the faces that were measured to the end. Some drivers cut loops
-// short without a word, and a face that was cut short must not pass for a result.
+// Their number, then the faces; the last word counts the faces that were measured to the end. Some drivers
+// end loops early without an error, and the host must not take such a face for a result.
 @group(0) @binding(6) var<storage, read_write> long_faces: array<atomic<u32>>;
-// A key per point: in each face those of the bottom triangle from the front, of the top one from the back.
+// One key per point: within a face, keys of the bottom triangle from the front, of the top one from the back.
 @group(0) @binding(7) var<storage, read_write> keys: array<u32>;
 
 const THREADS: u32 = 256u;
 
 var<workgroup> number: array<atomic<u32>, 2>;
 var<workgroup> histogram: array<array<atomic<u32>, 256>, 2>;
-var<workgroup> scan: array<array<u32, 256>, 2>;
 var<workgroup> chosen: array<u32, 2>;
 var<workgroup> rest: array<u32, 2>;
 var<workgroup> below: atomic<u32>;
@@ -25,7 +24,7 @@ var<workgroup> kept: atomic<u32>;
 var<workgroup> sum_low: array<atomic<u32>, 2>;
 var<workgroup> sum_high: array<atomic<u32>, 2>;
 var<workgroup> shared_count: u32;
-// Keys that the last loop over them has met, in both triangles.
+// Keys of both triangles that the last loop has visited.
 var<workgroup> seen: atomic<u32>;
 
 fn key_at(begin: u32, end: u32, half: u32, entry: u32) -> u32 {
@@ -38,7 +37,7 @@ fn add_to_sum(which: u32, x: Wide) {
     atomicAdd(&sum_high[which], x.high + carry);
 }
 
-// The keys of two ranks among the n keys of a triangle, in `chosen`.
+// Puts the keys at two ranks among the n keys of a triangle into `chosen`.
 fn select_two(begin: u32, end: u32, half: u32, n: u32, ranks: vec2u, local: u32) {
     if (local < 2u) {
         chosen[local] = 0u;
@@ -53,7 +52,7 @@ fn select_two(begin: u32, end: u32, half: u32, n: u32, ranks: vec2u, local: u32)
         for (var entry = local; entry < n; entry += THREADS) {
             let key = key_at(begin, end, half, entry);
             let digit = (key >> shift) & 0xffu;
-            // What lies above the digit; a shift by 32 is not defined.
+            // The bits above the digit, by two shifts: one by 32 is not defined.
             let above = (key >> shift) >> 8u;
             if (above == (prefix.x >> shift) >> 8u) {
                 atomicAdd(&histogram[0][digit], 1u);
@@ -64,20 +63,7 @@ fn select_two(begin: u32, end: u32, half: u32, n: u32, ranks: vec2u, local: u32)
         }
         workgroupBarrier();
         let own = vec2u(atomicLoad(&histogram[0][local]), atomicLoad(&histogram[1][local]));
-        scan[0][local] = own.x;
-        scan[1][local] = own.y;
-        workgroupBarrier();
-        for (var step = 1u; step < 256u; step *= 2u) {
-            var left = vec2u(0u);
-            if (local >= step) {
-                left = vec2u(scan[0][local - step], scan[1][local - step]);
-            }
-            workgroupBarrier();
-            scan[0][local] += left.x;
-            scan[1][local] += left.y;
-            workgroupBarrier();
-        }
-        let upto = vec2u(scan[0][local], scan[1][local]);
+        let upto = inclusive_scan_of_two(own, local);
         let wanted = vec2u(rest[0], rest[1]);
         workgroupBarrier();
         for (var which = 0u; which < 2u; which++) {
@@ -103,17 +89,18 @@ fn main(
     let long_count = workgroupUniformLoad(&shared_count);
     for (var index = workgroup_index(group, groups); index < long_count; index += groups.x * groups.y) {
         let face_of_all = atomicLoad(&long_faces[index + 1u]);
-        let cylinder = face_of_all / job.faces;
-        let face = face_of_all % job.faces;
+        let cylinder = face_of_all / parameters.faces;
+        let face = face_of_all % parameters.faces;
         let rule = cylinders[cylinder];
         let begin = offsets[face_of_all];
         let end = offsets[face_of_all + 1u];
-        let level = face / job.nodes;
-        let j = face % job.nodes;
-        let k = select(j + 1u, 0u, j + 1u == job.nodes);
-        let row = cylinder * job.node_count + level * job.nodes;
+        let level = face / parameters.nodes;
+        let j = face % parameters.nodes;
+        let k = select(j + 1u, 0u, j + 1u == parameters.nodes);
+        let row = cylinder * parameters.node_count + level * parameters.nodes;
         let a = radii[row + j];
-        let corners = Face(radii[row + k] - a, radii[row + job.nodes + k] - a, radii[row + job.nodes + j] - a);
+        let above = row + parameters.nodes;
+        let corners = Face(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
         if (local < 2u) {
             atomicStore(&number[local], 0u);
         }
@@ -123,7 +110,7 @@ fn main(
         workgroupBarrier();
         for (var i = begin + local; i < end; i += THREADS) {
             let p = vec3f(grouped[3u * i] - a, grouped[3u * i + 1u], grouped[3u * i + 2u]);
-            let nearer = distance_to_face(p, corners, job.step_theta, job.step_z);
+            let nearer = distance_to_face(p, corners, parameters.step_theta, parameters.step_z);
             let half = select(0u, 1u, nearer.top);
             let entry = atomicAdd(&number[half], 1u);
             keys[select(begin + entry, end - 1u - entry, nearer.top)] = key_of(nearer.distance);
@@ -147,11 +134,11 @@ fn main(
             workgroupBarrier();
 
             var bounds = EVERYTHING;
-            if (n >= 2u && job.outliers == OUTLIERS_IQR) {
+            if (n >= 2u && parameters.outliers == OUTLIERS_IQR) {
                 select_two(begin, end, half, n, vec2u(first_quartile(n), third_quartile(n)), local);
                 bounds = box_plot(number_of(chosen[0]), number_of(chosen[1]));
             }
-            if (n >= 2u && job.outliers == OUTLIERS_DEVIATION) {
+            if (n >= 2u && parameters.outliers == OUTLIERS_DEVIATION) {
                 var all = Wide(0u, 0u);
                 for (var entry = local; entry < n; entry += THREADS) {
                     let d = number_of(key_at(begin, end, half, entry));
@@ -200,14 +187,14 @@ fn main(
             if (any > 0u) {
                 result.value = mean_of(Wide(atomicLoad(&sum_low[0]), atomicLoad(&sum_high[0])), rule.unit, any);
                 result.residual = mean_of(Wide(atomicLoad(&sum_low[1]), atomicLoad(&sum_high[1])), rule.unit, any);
-                if (job.statistic == STATISTIC_MEDIAN) {
+                if (parameters.statistic == STATISTIC_MEDIAN) {
                     let wanted = atomicLoad(&below) + median(any);
                     select_two(begin, end, half, n, vec2u(wanted, wanted), local);
                     result.value = number_of(chosen[0]);
                 }
             }
             if (local == 0u) {
-                statistics[(2u * cylinder + half) * job.faces + face] = result;
+                statistics[(2u * cylinder + half) * parameters.faces + face] = result;
             }
             workgroupBarrier();
         }

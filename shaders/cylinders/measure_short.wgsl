@@ -1,9 +1,9 @@
-// Distances and statistics of the faces with few points, several faces a workgroup, LANES invocations a face.
-// Order statistics by counting ranks.
+// Distances and statistics of the faces with few points: several faces per workgroup, LANES invocations per
+// face. Order statistics by counting ranks.
 
 override LANES: u32 = 8u;
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> offsets: array<u32>;
 @group(0) @binding(3) var<storage, read> grouped: array<f32>;
@@ -11,16 +11,17 @@ override LANES: u32 = 8u;
 // Per cylinder its bottom triangles, then its top ones.
 @group(0) @binding(5) var<storage, read_write> statistics: array<TriangleStatistic>;
 
-// Room for 8 * LANES points a face, a key per point in the row of each of its two triangles: EMPTY in the row of
-// the farther one. Bottom rows have even numbers, top rows odd ones; at least 2 lanes a face make 128 rows at most.
+// Room for 8 * LANES points per face. Each point has a key in the rows of both triangles of its face: EMPTY
+// in the row of the farther one. Bottom rows have even numbers, top rows odd ones; with 2 lanes per face
+// there are 128 rows, with more lanes fewer.
 var<workgroup> keys: array<u32, 2048>;
-// One of each a triangle.
+// One of each per triangle.
 var<workgroup> number: array<atomic<u32>, 128>;
 var<workgroup> first: array<atomic<u32>, 128>;
 var<workgroup> third: array<atomic<u32>, 128>;
 var<workgroup> below: array<atomic<u32>, 128>;
 var<workgroup> kept: array<atomic<u32>, 128>;
-// Sums in two parts, of the lower 16 bits and of the rest.
+// Sums in two parts: of the lower 16 bits and of the rest.
 var<workgroup> all_low: array<atomic<u32>, 128>;
 var<workgroup> all_high: array<atomic<i32>, 128>;
 var<workgroup> sum_low: array<atomic<u32>, 128>;
@@ -31,7 +32,7 @@ var<workgroup> abs_high: array<atomic<i32>, 128>;
 // Larger than the key of any number.
 const EMPTY: u32 = 0xffffffffu;
 
-// The ranks that a key holds in a row: from the first to before the second.
+// The ranks of a key in its row: from the first number up to, but without, the second.
 fn ranks(row: u32, key: u32, count: u32) -> vec2u {
     var less = vec4u(0u);
     var equal = vec4u(0u);
@@ -56,10 +57,10 @@ fn join(low: u32, high: i32) -> Wide {
 
 fn bounds_of(triangle: u32, unit: f32) -> Bounds {
     let count = atomicLoad(&number[triangle]);
-    if (count < 2u || job.outliers == OUTLIERS_NONE) {
+    if (count < 2u || parameters.outliers == OUTLIERS_NONE) {
         return EVERYTHING;
     }
-    if (job.outliers == OUTLIERS_DEVIATION) {
+    if (parameters.outliers == OUTLIERS_DEVIATION) {
         let sum = join(atomicLoad(&all_low[triangle]), atomicLoad(&all_high[triangle]));
         return deviation(mean_of(sum, unit, count));
     }
@@ -82,11 +83,11 @@ fn main(
     let top_row = bottom_row + 8u * LANES;
     var begin = 0u;
     var count = 0u;
-    var mine = face < job.faces;
+    var mine = face < parameters.faces;
     if (mine) {
-        begin = offsets[cylinder * job.faces + face];
-        count = offsets[cylinder * job.faces + face + 1u] - begin;
-        mine = count <= job.short_most;
+        begin = offsets[cylinder * parameters.faces + face];
+        count = offsets[cylinder * parameters.faces + face + 1u] - begin;
+        mine = count <= parameters.max_short;
         count = select(0u, count, mine);
     }
     if (lane < 2u) {
@@ -103,19 +104,20 @@ fn main(
     }
     workgroupBarrier();
 
-    // Every invocation keeps its own sums, [bottom, top], and adds them up once: atomics are slow.
+    // Every invocation keeps its own sums, [bottom, top], and adds them once, because atomics are slow.
     if (lane < count) {
-        let level = face / job.nodes;
-        let j = face % job.nodes;
-        let k = select(j + 1u, 0u, j + 1u == job.nodes);
-        let row = cylinder * job.node_count + level * job.nodes;
+        let level = face / parameters.nodes;
+        let j = face % parameters.nodes;
+        let k = select(j + 1u, 0u, j + 1u == parameters.nodes);
+        let row = cylinder * parameters.node_count + level * parameters.nodes;
         let a = radii[row + j];
-        let corners = Face(radii[row + k] - a, radii[row + job.nodes + k] - a, radii[row + job.nodes + j] - a);
+        let above = row + parameters.nodes;
+        let corners = Face(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
         var own = vec2u(0u);
         for (var i = lane; i < count; i += LANES) {
             let at = 3u * (begin + i);
             let p = vec3f(grouped[at] - a, grouped[at + 1u], grouped[at + 2u]);
-            let nearer = distance_to_face(p, corners, job.step_theta, job.step_z);
+            let nearer = distance_to_face(p, corners, parameters.step_theta, parameters.step_z);
             let key = key_of(nearer.distance);
             keys[bottom_row + i] = select(key, EMPTY, nearer.top);
             keys[top_row + i] = select(EMPTY, key, nearer.top);
@@ -131,7 +133,7 @@ fn main(
     }
     workgroupBarrier();
 
-    if (job.outliers == OUTLIERS_IQR) {
+    if (parameters.outliers == OUTLIERS_IQR) {
         for (var i = lane; i < count; i += LANES) {
             let is_top = keys[bottom_row + i] == EMPTY;
             let triangle = bottom + select(0u, 1u, is_top);
@@ -148,7 +150,7 @@ fn main(
             }
         }
     }
-    if (job.outliers == OUTLIERS_DEVIATION && lane < count) {
+    if (parameters.outliers == OUTLIERS_DEVIATION && lane < count) {
         var own_low = vec2u(0u);
         var own_high = vec2i(0);
         for (var i = lane; i < count; i += LANES) {
@@ -207,7 +209,7 @@ fn main(
     }
     workgroupBarrier();
 
-    if (job.statistic == STATISTIC_MEDIAN) {
+    if (parameters.statistic == STATISTIC_MEDIAN) {
         for (var i = lane; i < count; i += LANES) {
             let is_top = keys[bottom_row + i] == EMPTY;
             let triangle = bottom + select(0u, 1u, is_top);
@@ -228,11 +230,11 @@ fn main(
             let sum = join(atomicLoad(&sum_low[triangle]), atomicLoad(&sum_high[triangle]));
             let size = join(atomicLoad(&abs_low[triangle]), atomicLoad(&abs_high[triangle]));
             result.value = mean_of(sum, rule.unit, result.kept);
-            if (job.statistic == STATISTIC_MEDIAN) {
+            if (parameters.statistic == STATISTIC_MEDIAN) {
                 result.value = number_of(atomicLoad(&first[triangle]));
             }
             result.residual = mean_of(size, rule.unit, result.kept);
         }
-        statistics[(2u * cylinder + lane) * job.faces + face] = result;
+        statistics[(2u * cylinder + lane) * parameters.faces + face] = result;
     }
 }

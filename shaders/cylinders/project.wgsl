@@ -19,11 +19,11 @@ struct Pair {
     unused_2: u32,
 }
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> points: array<vec2f>;
 @group(0) @binding(3) var<storage, read> pairs: array<Pair>;
-// r, θ, z of each slot.
+// r (mm), θ (rad), z (mm) of each slot.
 @group(0) @binding(4) var<storage, read_write> section: array<f32>;
 // The cylinder of each slot, NONE where the point did not pass.
 @group(0) @binding(5) var<storage, read_write> owners: array<u32>;
@@ -37,7 +37,7 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let index = workgroup_index(group, groups);
-    if (index >= job.pairs) {
+    if (index >= parameters.pairs) {
         return;
     }
     let pair = pairs[index];
@@ -49,7 +49,7 @@ fn main(
         let y = (pair.origin_y + pair.x_y * p.x) + pair.y_y * p.y;
         let z = (pair.origin_z + pair.x_z * p.x) + pair.y_z * p.y;
         let r = sqrt(x * x + y * y);
-        let within = -job.half_height <= z && z <= job.half_height;
+        let within = -parameters.half_height <= z && z <= parameters.half_height;
         let passes = within && cylinder.gate_low <= r && r <= cylinder.gate_high;
         outside += select(0u, 1u, within && !passes);
         let slot = pair.first_slot + i;

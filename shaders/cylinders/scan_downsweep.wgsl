@@ -1,11 +1,10 @@
-// Third step: where each face's points begin, and behind the last face their number.
+// Third step of the prefix sum over the faces' counts: where each face's points begin, and behind the last
+// face the number of all points.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> block_sums: array<u32>;
 @group(0) @binding(3) var<storage, read_write> offsets: array<u32>;
-
-var<workgroup> scan: array<u32, 256>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -14,7 +13,7 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let block = workgroup_index(group, groups);
-    let total = job.cylinders * job.faces;
+    let total = parameters.cylinders * parameters.faces;
     let first = block * 1024u + local * 4u;
     var own = vec4u(0u);
     for (var i = 0u; i < 4u; i++) {
@@ -23,21 +22,11 @@ fn main(
         }
     }
     let sum = own.x + own.y + own.z + own.w;
-    scan[local] = sum;
-    workgroupBarrier();
-    for (var step = 1u; step < 256u; step *= 2u) {
-        var left = 0u;
-        if (local >= step) {
-            left = scan[local - step];
-        }
-        workgroupBarrier();
-        scan[local] += left;
-        workgroupBarrier();
-    }
+    let upto = inclusive_scan(sum, local);
     if (block * 1024u >= total) {
         return;
     }
-    var before = block_sums[block] + scan[local] - sum;
+    var before = block_sums[block] + upto - sum;
     for (var i = 0u; i < 4u; i++) {
         if (first + i < total) {
             offsets[first + i] = before;

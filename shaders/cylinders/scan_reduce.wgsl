@@ -1,6 +1,6 @@
-// First step of the exclusive sum over the faces' counts: the sum of each block of 1024.
+// First step of the prefix sum over the faces' counts: the sum of each block of 1024.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read_write> block_sums: array<u32>;
 
@@ -13,7 +13,7 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let block = workgroup_index(group, groups);
-    let total = job.cylinders * job.faces;
+    let total = parameters.cylinders * parameters.faces;
     if (local == 0u) {
         atomicStore(&sum, 0u);
     }

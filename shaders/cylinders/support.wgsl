@@ -1,7 +1,7 @@
-// Per node: the points kept on the triangles about it, and their mean |distance|. Per cylinder: all points
-// kept, and all points in the section.
+// Per node: the number of points kept on the triangles that meet there, and their mean |distance|. Per
+// cylinder: the number of kept points, and of all points in the section.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> statistics: array<TriangleStatistic>;
 @group(0) @binding(2) var<storage, read_write> support: array<u32>;
 @group(0) @binding(3) var<storage, read_write> residuals: array<f32>;
@@ -32,29 +32,29 @@ fn main(
     workgroupBarrier();
     let node = workgroup_index(group, groups) * 64u + local;
     let cylinder = group.z;
-    let bottom = 2u * cylinder * job.faces;
-    let top = bottom + job.faces;
-    if (node < job.node_count) {
-        let ring = node / job.nodes;
-        let j = node % job.nodes;
-        let before = select(j, job.nodes, j == 0u) - 1u;
+    let bottom = 2u * cylinder * parameters.faces;
+    let top = bottom + parameters.faces;
+    if (node < parameters.node_count) {
+        let ring = node / parameters.nodes;
+        let j = node % parameters.nodes;
+        let before = select(j, parameters.nodes, j == 0u) - 1u;
         var sum = Sum(0u, 0.0);
         if (ring > 0u) {
-            let row = (ring - 1u) * job.nodes;
+            let row = (ring - 1u) * parameters.nodes;
             sum = plus(sum, top + row + before);
             sum = plus(sum, bottom + row + before);
             sum = plus(sum, top + row + j);
         }
-        if (ring < job.levels) {
-            let row = ring * job.nodes;
+        if (ring < parameters.levels) {
+            let row = ring * parameters.nodes;
             sum = plus(sum, bottom + row + before);
             sum = plus(sum, top + row + j);
             sum = plus(sum, bottom + row + j);
         }
-        support[cylinder * job.node_count + node] = sum.count;
-        residuals[cylinder * job.node_count + node] = sum.total / f32(max(1u, sum.count));
+        support[cylinder * parameters.node_count + node] = sum.count;
+        residuals[cylinder * parameters.node_count + node] = sum.total / f32(max(1u, sum.count));
     }
-    if (node < job.faces) {
+    if (node < parameters.faces) {
         atomicAdd(&own_kept, statistics[bottom + node].kept + statistics[top + node].kept);
     }
     workgroupBarrier();
@@ -62,7 +62,7 @@ fn main(
         atomicAdd(&tallies[2u * cylinder], atomicLoad(&own_kept));
     }
     if (node == 0u) {
-        let first = cylinder * job.faces;
-        atomicStore(&tallies[2u * cylinder + 1u], offsets[first + job.faces] - offsets[first]);
+        let first = cylinder * parameters.faces;
+        atomicStore(&tallies[2u * cylinder + 1u], offsets[first + parameters.faces] - offsets[first]);
     }
 }

@@ -1,6 +1,6 @@
-// The nodes' move, and the sum of its size.
+// Moves the nodes, and sums |travel|.
 
-@group(0) @binding(0) var<uniform> job: Job;
+@group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> values: array<f32>;
 @group(0) @binding(3) var<storage, read_write> radii: array<f32>;
@@ -23,27 +23,27 @@ fn main(
     workgroupBarrier();
     let node = workgroup_index(group, groups) * 64u + local;
     let cylinder = group.z;
-    if (node < job.node_count) {
-        let ring = node / job.nodes;
-        let j = node % job.nodes;
-        let before = select(j, job.nodes, j == 0u) - 1u;
-        let bottom = 2u * cylinder * job.faces;
-        let top = bottom + job.faces;
+    if (node < parameters.node_count) {
+        let ring = node / parameters.nodes;
+        let j = node % parameters.nodes;
+        let before = select(j, parameters.nodes, j == 0u) - 1u;
+        let bottom = 2u * cylinder * parameters.faces;
+        let top = bottom + parameters.faces;
         var travel = 0.0;
         if (ring > 0u) {
-            let row = (ring - 1u) * job.nodes;
+            let row = (ring - 1u) * parameters.nodes;
             travel = values[top + row + before] + values[bottom + row + before] + values[top + row + j];
         }
-        if (ring < job.levels) {
-            let row = ring * job.nodes;
+        if (ring < parameters.levels) {
+            let row = ring * parameters.nodes;
             if (ring > 0u) {
                 travel = travel + values[bottom + row + before] + values[top + row + j] + values[bottom + row + j];
             } else {
                 travel = values[bottom + row + before] + values[top + row + j] + values[bottom + row + j];
             }
         }
-        travel = travel / select(3.0, 6.0, ring > 0u && ring < job.levels);
-        radii[cylinder * job.node_count + node] += travel;
+        travel = travel / select(3.0, 6.0, ring > 0u && ring < parameters.levels);
+        radii[cylinder * parameters.node_count + node] += travel;
         let step = bitcast<u32>(fixed(abs(travel), cylinders[cylinder].scale));
         atomicAdd(&sum_low, step & 0xffffu);
         atomicAdd(&sum_high, step >> 16u);

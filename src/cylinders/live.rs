@@ -2,7 +2,7 @@
 
 use super::Track;
 use super::estimate::LocalEstimate;
-use super::fit::{Engine, Job, engine};
+use super::fit::{Engine, FitRequest, engine};
 use super::merge::Vessel;
 use crate::recording::Frame;
 use crate::settings::{Merge, Settings};
@@ -61,7 +61,7 @@ impl LiveCylinders {
         if !count.is_multiple_of(self.settings.every as usize) {
             return Ok(Step::default());
         }
-        let fitted = self.engine.fit(&Job::new(&self.track, &[count - 1], &self.settings))?;
+        let fitted = self.engine.fit(&FitRequest::new(&self.track, &[count - 1], &self.settings))?;
         let mut step = Step::default();
         let mut first = self.vessel.rings.len();
         for cylinder in &fitted {

@@ -14,7 +14,9 @@ mod tube;
 #[cfg(feature = "gpu")]
 pub use fit::gpu::GpuEngine;
 pub use fit::passes::Section;
-pub use fit::{AutoEngine, CpuEngine, DeformedTube, Engine, FittedCylinder, Job, engine, merged_frames};
+pub use fit::{
+    AutoEngine, CpuEngine, DeformedTube, Engine, FitRequest, FittedCylinder, engine, merged_frames,
+};
 pub use track::{NearFrame, PlacedCylinder, Track};
 pub use tube::Tube;
 
@@ -136,7 +138,7 @@ impl CylinderReconstruction {
         let ready = AtomicUsize::new(0);
         let tell = |newly| progress(ready.fetch_add(newly, Ordering::Relaxed) + newly, frames.len());
         let cylinders =
-            engine.fit(&Job { track: &track, frames: &frames, settings, history, progress: &tell })?;
+            engine.fit(&FitRequest { track: &track, frames: &frames, settings, history, progress: &tell })?;
         let fit_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();

@@ -1,11 +1,12 @@
 //! Small numerical tools that several stages share.
 
+mod angle;
 pub(crate) mod banded;
 pub(crate) mod cholesky;
 mod scalar;
 mod scan;
 
 #[cfg(feature = "gpu")]
-pub(crate) use scalar::ANGLE_COEFFICIENTS;
+pub(crate) use angle::ANGLE_COEFFICIENTS;
 pub use scalar::Scalar;
 pub use scan::inclusive_scan;

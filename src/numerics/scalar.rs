@@ -1,9 +1,12 @@
+//! The numbers that a computation runs in: f32 or f64. The f32 half is the twin of `shaders/common/scalar.wgsl`.
+
+use super::angle::angle;
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// The number that a fit computes in: f32 as on the device, f64 as the reference.
+/// A floating-point type that a fit computes in: f32 as on the device, f64 as the reference.
 ///
-/// Besides arithmetic it knows the three things that must not depend on the order of a triangle's points or
+/// Besides arithmetic it has three operations whose results must not depend on the order of a triangle's points or
 /// on the platform: an integer key that sorts like the number, an exact sum, and the arc tangent.
 pub trait Scalar:
     Copy
@@ -24,8 +27,8 @@ pub trait Scalar:
     /// A fixed-point sum: exact, so the same in every order.
     type Sum: Copy + Default + Add<Output = Self::Sum> + Neg<Output = Self::Sum> + PartialOrd + Send + Sync;
 
-    /// Bits of a fixed-point number in front of which [`fixed_point_scale`](Self::fixed_point_scale) puts the
-    /// largest distance.
+    /// Bits of the largest distance as a fixed-point number of scale
+    /// [`fixed_point_scale`](Self::fixed_point_scale).
     const FIXED_POINT_BITS: i32;
 
     /// The nearest number.
@@ -87,31 +90,9 @@ impl Scalar for f32 {
     fn floor_to_u32(self) -> u32 {
         self as u32
     }
-    /// The device has no usable atan2 (up to 4096 ULP are allowed), so both sides evaluate this polynomial:
-    /// atan(t) = t + t·s·p(s) with s = t², t in [0, 1]; p is a weighted least-squares fit whose own error is
-    /// 3e-9, evaluated here to about 1 ULP.
     #[inline(always)]
     fn angle(y: f32, x: f32) -> f32 {
-        use std::f32::consts::{FRAC_PI_2, PI, TAU};
-        let (ax, ay) = (x.abs(), y.abs());
-        let (small, large) = if ay > ax { (ax, ay) } else { (ay, ax) };
-        let t = small / if large > 0.0 { large } else { 1.0 };
-        let s = t * t;
-        let mut p = ANGLE_COEFFICIENTS[8];
-        p = p * s + ANGLE_COEFFICIENTS[7];
-        p = p * s + ANGLE_COEFFICIENTS[6];
-        p = p * s + ANGLE_COEFFICIENTS[5];
-        p = p * s + ANGLE_COEFFICIENTS[4];
-        p = p * s + ANGLE_COEFFICIENTS[3];
-        p = p * s + ANGLE_COEFFICIENTS[2];
-        p = p * s + ANGLE_COEFFICIENTS[1];
-        p = p * s + ANGLE_COEFFICIENTS[0];
-        let octant = t + t * s * p;
-        let quadrant = if ay > ax { FRAC_PI_2 - octant } else { octant };
-        let half = if x < 0.0 { PI - quadrant } else { quadrant };
-        // An angle just below a full turn rounds to it: the same direction is 0.
-        let full = if y < 0.0 { TAU - half } else { half };
-        if full >= TAU { 0.0 } else { full }
+        angle(y, x)
     }
     #[inline(always)]
     fn key(self) -> i32 {
@@ -135,19 +116,6 @@ impl Scalar for f32 {
         if sum < 0 { -mean } else { mean }
     }
 }
-
-/// The coefficients of p in [`f32::angle`](Scalar::angle), constant term first.
-pub const ANGLE_COEFFICIENTS: [f32; 9] = [
-    -0.333_333,
-    0.199_985_49,
-    -0.142_642_42,
-    0.109_521_86,
-    -0.084_034_5,
-    0.057_957_594,
-    -0.031_177_847,
-    0.010_914_606,
-    -0.001_793_621_8,
-];
 
 impl Scalar for f64 {
     type Key = i64;

@@ -1,9 +1,9 @@
-//! Stages on the CPU: where the device takes over must not show.
+//! Stages on the CPU: the result must not depend on where the device takes over.
 
 use crate::cylinders::{assert_agree, assert_all_agree, assert_same};
 use crate::device::{device, open};
 use crate::sections::{RADIUS_MM, recording, wall};
-use lumenmesh::cylinders::{Engine, Job, Track};
+use lumenmesh::cylinders::{Engine, FitRequest, Track};
 use lumenmesh::low_level::cylinders::gpu::CpuStages;
 use lumenmesh::settings::{Settings, Statistic};
 
@@ -24,13 +24,13 @@ fn the_device_may_take_over_after_any_stage() {
     for statistic in [Statistic::Mean, Statistic::Median] {
         let settings = Settings::default().with_nodes(24).with_levels(8).with_statistic(statistic);
         let track = Track::of(&recording, &settings).unwrap();
-        let job = Job { history: true, ..Job::new(&track, &[9, 19, 29, 39], &settings) };
-        let expected = device.engine.fit(&job).unwrap();
+        let request = FitRequest { history: true, ..FitRequest::new(&track, &[9, 19, 29, 39], &settings) };
+        let expected = device.engine.fit(&request).unwrap();
         let section = wall(5_000, 127);
         let expected_tube = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
         for stages in STAGES {
             other.engine = other.engine.with_cpu_stages(stages);
-            assert_all_agree(device, &other.engine.fit(&job).unwrap(), &expected);
+            assert_all_agree(device, &other.engine.fit(&request).unwrap(), &expected);
             let tube = other.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
             assert_agree(device, &tube, &expected_tube);
         }

@@ -1,6 +1,6 @@
 //! Comparers of what a device wrote with what its twin computed, and proof that each of them can fail.
 //!
-//! Each first asks whether the device wrote the buffer at all: a buffer that is as it was before the pass says
+//! Each first checks that the device wrote the buffer at all: a buffer that is as it was before the pass proves
 //! nothing, whatever it holds.
 
 use crate::device::Readback;
@@ -33,7 +33,7 @@ pub fn integers(found: &Readback, expected: &[u32]) -> Result<(), String> {
 pub enum Tolerance {
     /// Not at all.
     Bits,
-    /// So many roundings of the largest operand, whose size is the second number.
+    /// That many roundings of the largest operand, whose size is the second number.
     Roundings(f64, f64),
 }
 
@@ -64,13 +64,13 @@ pub fn numbers(found: &Readback, expected: &[f32], tolerance: Tolerance) -> Resu
     }
 }
 
-/// What follows from decisions: where a count differs the value may too, but in at most so many of all entries.
+/// Results of decisions: where a count differs the value may too, but in at most `max_flips` of all entries.
 /// Entries are (value, count, residual), as of `TriangleStatistic`; `None` must not have been written.
 pub fn decisions(
     found: &Readback,
     expected: &[Option<(f32, u32, f32)>],
     tolerance: Tolerance,
-    most: usize,
+    max_flips: usize,
 ) -> Result<(), String> {
     written(found, 3 * expected.len())?;
     let mut flipped = 0;
@@ -92,9 +92,9 @@ pub fn decisions(
             return Err(format!("entry {i}: found {:?}, expected {:?}", (a, n, b), (value, count, residual)));
         }
     }
-    match flipped <= most {
+    match flipped <= max_flips {
         true => Ok(()),
-        false => Err(format!("{flipped} counts of {} differ, {most} may", expected.len())),
+        false => Err(format!("{flipped} counts of {} differ, {max_flips} may", expected.len())),
     }
 }
 
@@ -219,7 +219,7 @@ mod controls {
         let Some(device) = device() else { return };
         let settings = Settings::default();
         let workspace = device.engine.prepare(100, 12.0, &settings).unwrap();
-        let count = workspace.job().node_count as usize;
+        let count = workspace.parameters().node_count as usize;
         let of_cpu: Vec<f32> = (0..count).map(|i| 12.0 + i as f32).collect();
         let bytes = bytemuck::cast_slice(&of_cpu);
         let [radii] = device.run(&workspace, "scan_spine", &[("radii", bytes)], ["radii"]);

@@ -31,7 +31,7 @@ pub fn assert_agree(device: &Device, found: &DeformedTube, expected: &DeformedTu
     assert!(mean <= 1e-3, "mean |Δr| {mean} mm");
 }
 
-/// [`assert_agree`] for the cylinders of a job.
+/// [`assert_agree`] for the cylinders of a request.
 pub fn assert_all_agree(device: &Device, found: &[FittedCylinder], expected: &[FittedCylinder]) {
     assert_eq!(found.len(), expected.len());
     for (found, expected) in found.iter().zip(expected) {

@@ -1,7 +1,7 @@
 //! The device of these tests, and single passes run on it.
 
 use lumenmesh::gpu::adapters;
-use lumenmesh::low_level::cylinders::gpu::{GpuEngine, Workspace};
+use lumenmesh::low_level::cylinders::gpu::{FitWorkspace, GpuEngine};
 use lumenmesh::low_level::sweep::gpu::{GpuWallEngine, WallWorkspace};
 use std::io::Write;
 use std::sync::OnceLock;
@@ -41,7 +41,7 @@ macro_rules! runs_passes {
     };
 }
 
-runs_passes!(GpuEngine, Workspace);
+runs_passes!(GpuEngine, FitWorkspace);
 runs_passes!(GpuWallEngine, WallWorkspace);
 
 /// An engine, and whether its device computes f32 exactly as the CPU does.

@@ -1,11 +1,11 @@
-//! Sections that are hard on grouping and measuring: skewed, empty, on edges, tiny and huge.
+//! Sections that are hard to group and measure: skewed, empty, on edges, tiny and huge.
 
 use crate::cylinders::{assert_agree, assert_all_agree};
 use crate::device::{Device, device};
 use crate::grouping::bins_and_scatters;
 use crate::sections::{RADIUS_MM, both, patch, recording, wall};
 use glam::DVec2;
-use lumenmesh::cylinders::{CpuEngine, Engine, Job, Track};
+use lumenmesh::cylinders::{CpuEngine, Engine, FitRequest, Track};
 use lumenmesh::low_level::cylinders::passes::Section;
 use lumenmesh::settings::{Outliers, Settings};
 use std::f64::consts::{PI, TAU};
@@ -147,9 +147,9 @@ fn echoes_too_far_for_f32_are_left_out_as_on_the_cpu() {
         frame.contour_mm[4] = DVec2::new(0.0, far);
     }
     let track = Track::of(&pullback, &settings).unwrap();
-    let job = Job::new(&track, &[9, 19], &settings);
-    let expected = CpuEngine::<f32>::new().fit(&job).unwrap();
-    assert_all_agree(device, &device.engine.fit(&job).unwrap(), &expected);
+    let request = FitRequest::new(&track, &[9, 19], &settings);
+    let expected = CpuEngine::<f32>::new().fit(&request).unwrap();
+    assert_all_agree(device, &device.engine.fit(&request).unwrap(), &expected);
 }
 
 #[test]

@@ -1,9 +1,9 @@
-//! What fails does so in time, with a typed error and no stale result.
+//! Failures come in time, with a typed error and no stale result.
 
 use crate::device::{device, open};
 use crate::sections::{RADIUS_MM, recording, wall};
 use lumenmesh::Error;
-use lumenmesh::cylinders::{AutoEngine, CpuEngine, Engine, Job, Track};
+use lumenmesh::cylinders::{AutoEngine, CpuEngine, Engine, FitRequest, Track};
 use lumenmesh::gpu::GpuError;
 use lumenmesh::low_level::cylinders::gpu::GpuEngine;
 use lumenmesh::low_level::sweep::gpu::GpuWallEngine;
@@ -38,7 +38,7 @@ fn a_destroyed_device_fails_every_call() {
         let failed = engine.prepare(10, RADIUS_MM, &settings).err().expect("a workspace on no device");
         assert!(matches!(failed, Error::Gpu(_)), "{failed}");
         let track = Track::of(&recording(20, 50, 139), &settings).unwrap();
-        let failed = engine.fit(&Job::new(&track, &[9, 19], &settings)).unwrap_err();
+        let failed = engine.fit(&FitRequest::new(&track, &[9, 19], &settings)).unwrap_err();
         assert!(matches!(failed, Error::Gpu(_)), "{failed}");
         println!("{failed}");
     });
@@ -99,7 +99,7 @@ fn too_large_a_job_is_refused_with_both_numbers() {
             (name, needed)
         }
         Err(other) => panic!("{other}"),
-        Ok(_) => panic!("a job of {points} points was accepted"),
+        Ok(_) => panic!("a request of {points} points was accepted"),
     };
     let (name, needed) = refused(u32::MAX, &Settings::default());
     assert_eq!((name.as_str(), needed), ("section", 12 * u64::from(u32::MAX)));
@@ -171,8 +171,8 @@ fn a_cylinder_without_points_is_an_error_as_on_the_cpu() {
     }
     let settings = Settings::default();
     let track = Track::of(&far, &settings).unwrap();
-    let job = Job::new(&track, &[9, 19], &settings);
-    let found = device.engine.fit(&job).unwrap_err().to_string();
-    assert_eq!(found, CpuEngine::<f32>::new().fit(&job).unwrap_err().to_string());
+    let request = FitRequest::new(&track, &[9, 19], &settings);
+    let found = device.engine.fit(&request).unwrap_err().to_string();
+    assert_eq!(found, CpuEngine::<f32>::new().fit(&request).unwrap_err().to_string());
     assert!(found.starts_with("frame 9: section: found 0 points"), "{found}");
 }

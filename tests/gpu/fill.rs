@@ -4,7 +4,7 @@ use crate::compare::{Tolerance, numbers};
 use crate::device::{Readback, device};
 use crate::sections::{recording, seeded};
 use lumenmesh::cylinders::Tube;
-use lumenmesh::cylinders::{Job, Track};
+use lumenmesh::cylinders::{FitRequest, Track};
 use lumenmesh::low_level::cylinders::passes::{TriangleStatistic, fill};
 use lumenmesh::settings::Settings;
 use rand::RngExt;
@@ -32,7 +32,12 @@ pub fn words(statistics: &[TriangleStatistic<f32>]) -> Vec<[u32; 3]> {
 /// Runs `work` on a workspace of three cylinders, for tubes with a number of faces about the 64 invocations of
 /// a workgroup, with every share of empty triangles.
 pub fn for_three_cylinders(
-    mut work: impl FnMut(&lumenmesh::low_level::cylinders::gpu::Workspace, &Job, &Tube, &[TriangleStatistic<f32>]),
+    mut work: impl FnMut(
+        &lumenmesh::low_level::cylinders::gpu::FitWorkspace,
+        &FitRequest,
+        &Tube,
+        &[TriangleStatistic<f32>],
+    ),
 ) {
     let Some(device) = device() else { return };
     let recording = recording(30, 40, 41);
@@ -40,10 +45,12 @@ pub fn for_three_cylinders(
         for empty in [0.0, 0.3, 0.9, 1.0] {
             let settings = Settings::default().with_nodes(nodes).with_levels(levels);
             let track = Track::of(&recording, &settings).unwrap();
-            let job = Job::new(&track, &[9, 19, 29], &settings);
-            let [workspace] = &device.engine.prepare_job(&job).unwrap()[..] else { panic!("one batch") };
+            let request = FitRequest::new(&track, &[9, 19, 29], &settings);
+            let [workspace] = &device.engine.prepare_request(&request).unwrap()[..] else {
+                panic!("one batch")
+            };
             let tube = Tube::new(&settings);
-            work(workspace, &job, &tube, &statistics(6 * tube.face_count(), empty, 43));
+            work(workspace, &request, &tube, &statistics(6 * tube.face_count(), empty, 43));
         }
     }
 }

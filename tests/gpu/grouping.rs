@@ -1,11 +1,14 @@
-//! The passes that group points by face, `bin` to `classify`, against their twin.
+//! The passes that group points by face, `bin` to `classify`, against their twins.
 
 use crate::compare::{Tolerance, integers, numbers, places};
 use crate::device::{Device, POISON, device};
 use crate::sections::{RADIUS_MM, rows, seeded, wall};
 use lumenmesh::cylinders::Tube;
-use lumenmesh::cylinders::{Job, Track};
-use lumenmesh::low_level::cylinders::passes::{Grid, Section, group};
+use lumenmesh::cylinders::{FitRequest, Track};
+use lumenmesh::low_level::cylinders::group;
+use lumenmesh::low_level::cylinders::passes::{
+    Section, TubeGrid, bin, classify, scan_downsweep, scan_reduce, scan_spine,
+};
 use lumenmesh::settings::Settings;
 use rand::RngExt;
 
@@ -14,7 +17,7 @@ const POINTS: [usize; 9] = [0, 1, 2, 255, 256, 257, 1023, 1025, 20_000];
 
 /// The face of each point.
 pub fn faces(section: &Section<f32>, tube: &Tube) -> Vec<u32> {
-    let grid = Grid::<f32>::new(tube);
+    let grid = TubeGrid::<f32>::new(tube);
     (0..section.len())
         .map(|i| {
             let (level, node) = grid.face(section.theta[i], section.z[i]);
@@ -28,7 +31,7 @@ fn counts(offsets: &[u32]) -> Vec<u32> {
     offsets.windows(2).map(|pair| pair[1] - pair[0]).collect()
 }
 
-/// `bin` on a section, and `scatter` behind it with the twin's places.
+/// `bin` on a section, then `scatter` with the twin's places.
 pub fn bins_and_scatters(device: &Device, section: &Section<f32>, settings: &Settings) {
     let tube = Tube::new(settings);
     let groups = group(section, &tube);
@@ -52,15 +55,10 @@ pub fn bins_and_scatters(device: &Device, section: &Section<f32>, settings: &Set
     places(&placed, &face_of_each, tube.face_count()).unwrap();
 
     // In the order of the points, as the twin places them.
-    let mut next = none;
-    let in_order: Vec<[u32; 2]> = face_of_each
-        .iter()
-        .map(|&face| {
-            let place = next[face as usize];
-            next[face as usize] += 1;
-            [face, place]
-        })
-        .collect();
+    let mut of_twin = none;
+    let in_order = bin(section, None, &TubeGrid::new(&tube), &mut of_twin);
+    integers(&counted, &of_twin).unwrap();
+    assert!(in_order.iter().map(|[face, _]| face).eq(&face_of_each));
     let inputs = [
         points,
         ("places", bytemuck::cast_slice(&in_order)),
@@ -88,10 +86,10 @@ fn bin_and_scatter_keep_cylinders_apart_and_leave_out_points_without_one() {
     let Some(device) = device() else { return };
     let settings = Settings::default();
     let track = Track::of(&crate::sections::recording(30, 80, 5), &settings).unwrap();
-    let job = Job::new(&track, &[9, 19, 29], &settings);
-    let [workspace] = &device.engine.prepare_job(&job).unwrap()[..] else { panic!("one batch") };
+    let request = FitRequest::new(&track, &[9, 19, 29], &settings);
+    let [workspace] = &device.engine.prepare_request(&request).unwrap()[..] else { panic!("one batch") };
     let tube = Tube::new(&settings);
-    let slots = workspace.job().slots as usize;
+    let slots = workspace.parameters().slots as usize;
     let section = wall(slots, 6);
     let mut rng = seeded(7);
     let owners: Vec<u32> = (0..slots).map(|_| [0, 1, 2, POISON][rng.random_range(0..4)]).collect();
@@ -111,6 +109,10 @@ fn bin_and_scatter_keep_cylinders_apart_and_leave_out_points_without_one() {
     let [counted, placed] = device.run(workspace, "bin", &inputs, ["counts", "places"]);
     integers(&counted, &expected).unwrap();
     places(&placed, &face_of_each, 180).unwrap();
+    let mut of_twin = vec![0_u32; 180];
+    let twin = bin(&section, Some(&owners), &TubeGrid::new(&tube), &mut of_twin);
+    assert_eq!(of_twin, expected);
+    assert!(twin.iter().map(|[face, _]| face).eq(&face_of_each));
 }
 
 #[test]
@@ -128,6 +130,7 @@ fn the_scan_is_a_running_sum() {
         let sums: Vec<u32> = counts.chunks(1024).map(|block| block.iter().sum()).collect();
         let [found] = device.run(&workspace, "scan_reduce", &[counts_bytes], ["block_sums"]);
         integers(&found, &sums).unwrap();
+        assert_eq!(scan_reduce(&counts), sums);
 
         let mut before: Vec<u32> = Vec::new();
         let mut sum = 0;
@@ -138,6 +141,9 @@ fn the_scan_is_a_running_sum() {
         let inputs = [("block_sums", bytemuck::cast_slice(&sums))];
         let [found] = device.run(&workspace, "scan_spine", &inputs, ["block_sums"]);
         integers(&found, &before).unwrap();
+        let mut of_twin = sums.clone();
+        scan_spine(&mut of_twin);
+        assert_eq!(of_twin, before);
 
         let mut offsets = vec![0];
         offsets.extend(counts.iter().scan(0, |sum, count| {
@@ -147,6 +153,7 @@ fn the_scan_is_a_running_sum() {
         let inputs = [counts_bytes, ("block_sums", bytemuck::cast_slice(&before))];
         let [found] = device.run(&workspace, "scan_downsweep", &inputs, ["offsets"]);
         integers(&found, &offsets).unwrap();
+        assert_eq!(scan_downsweep(&counts, &before), offsets);
     }
 }
 
@@ -170,9 +177,10 @@ fn long_faces_are_those_above_the_short_capacity() {
         let slots = 8 * faces;
         let workspace =
             device.engine.prepare(offsets[faces as usize].min(slots), RADIUS_MM, &settings).unwrap();
-        let most_here = workspace.job().short_most;
+        let max_short = workspace.parameters().max_short;
         let expected: Vec<u32> =
-            (0..faces).filter(|&f| offsets[f as usize + 1] - offsets[f as usize] > most_here).collect();
+            (0..faces).filter(|&f| offsets[f as usize + 1] - offsets[f as usize] > max_short).collect();
+        assert_eq!(classify(&offsets, max_short), expected);
         let inputs =
             [("offsets", bytemuck::cast_slice(&offsets)), ("long_faces", bytemuck::cast_slice(&[0_u32]))];
         let [mut found] = device.run(&workspace, "classify", &inputs, ["long_faces"]);

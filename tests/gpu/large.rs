@@ -1,4 +1,4 @@
-//! The largest job that WebGPU's usual 128 MiB a binding hold. It takes a minute and some memory:
+//! The largest fit within WebGPU's default of 128 MiB per binding. It takes a minute and some memory:
 //!
 //! ```sh
 //! cargo test --release --test gpu large -- --ignored --nocapture
@@ -13,7 +13,7 @@ use lumenmesh::gpu::GpuError;
 use lumenmesh::settings::Settings;
 use std::time::Instant;
 
-/// Most memory that the process has had, in bytes, where the system tells.
+/// Peak memory of the process, in bytes, on systems that report it.
 fn peak_memory() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;

@@ -1,11 +1,13 @@
-//! The passes `measure_short` and `measure_long` against their twins, distance and filter.
+//! The passes `measure_short` and `measure_long` against their twins.
 
 use crate::compare::{Tolerance, decisions};
 use crate::device::{Device, device};
 use crate::sections::{RADIUS_MM, seeded};
 use lumenmesh::cylinders::Tube;
 use lumenmesh::low_level::cylinders::gpu::LANES;
-use lumenmesh::low_level::cylinders::passes::{Face, Filter, Grid, TriangleStatistic, distance, filter};
+use lumenmesh::low_level::cylinders::passes::{
+    Face, Filter, TriangleStatistic, TubeGrid, distance, measure_long, measure_short,
+};
 use lumenmesh::settings::{Outliers, Settings, Statistic};
 use rand::RngExt;
 
@@ -35,7 +37,7 @@ impl Faces {
     fn new(settings: &Settings, sizes: &[u32], pattern: Pattern) -> Self {
         let tube = Tube::new(settings);
         assert_eq!(sizes.len(), tube.face_count());
-        let grid = Grid::<f32>::new(&tube);
+        let grid = TubeGrid::<f32>::new(&tube);
         let mut rng = seeded(31);
         let (mut offsets, mut points) = (vec![0], Vec::new());
         for &size in sizes {
@@ -70,8 +72,8 @@ impl Faces {
     }
 
     /// The statistics of one face's two triangles.
-    fn twin(&self, face: usize, rule: &Filter<f32>) -> [TriangleStatistic<f32>; 2] {
-        let (tube, grid) = (&self.tube, Grid::<f32>::new(&self.tube));
+    fn twin(&self, face: usize, rule: &Filter<f32>, long: bool) -> [TriangleStatistic<f32>; 2] {
+        let (tube, grid) = (&self.tube, TubeGrid::<f32>::new(&self.tube));
         let (row, j) = (face - face % tube.nodes, face % tube.nodes);
         let k = tube.next(j);
         let a = self.radii[row + j];
@@ -87,7 +89,8 @@ impl Faces {
             let (signed, top) = distance([r - a, *theta, *z], &corners);
             distances[usize::from(top)].push(signed);
         }
-        distances.map(|d| filter(&d, rule, &mut Vec::new()))
+        let measure = if long { measure_long } else { measure_short };
+        distances.map(|d| measure(&d, rule, &mut Vec::new()))
     }
 
     /// Runs the pass that measures long faces or that which measures short ones: it writes those, all of
@@ -95,13 +98,13 @@ impl Faces {
     fn agrees(&self, device: &Device, settings: &Settings, long: bool) {
         let count = self.points.len() as u32;
         let workspace = device.engine.prepare(count, RADIUS_MM, settings).unwrap();
-        let most = workspace.job().short_most;
+        let max_short = workspace.parameters().max_short;
         let rule = Filter::new(settings, RADIUS_MM);
         let faces = self.tube.face_count();
         let mut expected = vec![None; 2 * faces];
         let mut listed = vec![0_u32];
-        for face in (0..faces).filter(|&f| (self.size(f) > most) == long) {
-            for (half, s) in self.twin(face, &rule).into_iter().enumerate() {
+        for face in (0..faces).filter(|&f| (self.size(f) > max_short) == long) {
+            for (half, s) in self.twin(face, &rule, long).into_iter().enumerate() {
                 expected[half * faces + face] = Some((s.value, s.kept, s.residual));
             }
             listed.push(face as u32);
@@ -120,8 +123,8 @@ impl Faces {
         // A distance is some 60 operations on differences of a few mm; the fixed-point step and the mean add
         // two roundings. A point that changes triangle shows in both counts: 3 % may, of those with points.
         let tolerance = Tolerance::of(device.exact, 128.0, 6.0);
-        let most_flips = if device.exact { 0 } else { 2 + 2 * faces * 3 / 100 };
-        decisions(&found, &expected, tolerance, most_flips).unwrap();
+        let max_flips = if device.exact { 0 } else { 2 + 2 * faces * 3 / 100 };
+        decisions(&found, &expected, tolerance, max_flips).unwrap();
     }
 }
 
@@ -135,8 +138,8 @@ fn all_rules() -> impl Iterator<Item = (Outliers, Statistic)> {
 fn measure_short_is_its_twins_with_every_number_of_lanes() {
     let Some(device) = device() else { return };
     for lanes in LANES {
-        // About 1.7 times as many points a face as lanes: what the engine chooses that number for. Sizes up to
-        // the capacity and beyond it, which the pass must leave alone.
+        // About 1.7 times as many points per face as lanes, for which the engine chooses that number of lanes. Sizes up
+        // to the capacity and beyond it, which the pass must leave alone.
         let capacity = 8 * lanes;
         let mut sizes = vec![0, 1, 2, 3, 4, 5, 7, capacity - 1, capacity, capacity + 1];
         sizes.resize(60, lanes * 3 / 2);
@@ -145,7 +148,8 @@ fn measure_short_is_its_twins_with_every_number_of_lanes() {
                 let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
                 let faces = Faces::new(&settings, &sizes, pattern);
                 let count = faces.points.len() as u32;
-                let chosen = device.engine.prepare(count, RADIUS_MM, &settings).unwrap().job().short_most;
+                let chosen =
+                    device.engine.prepare(count, RADIUS_MM, &settings).unwrap().parameters().max_short;
                 assert_eq!(chosen, capacity, "{lanes} lanes");
                 faces.agrees(device, &settings, false);
             }
@@ -176,7 +180,7 @@ fn measure_long_begins_right_above_each_short_capacity() {
         let settings = Settings::default();
         let faces = Faces::new(&settings, &sizes, Pattern::Random);
         let count = faces.points.len() as u32;
-        let chosen = device.engine.prepare(count, RADIUS_MM, &settings).unwrap().job().short_most;
+        let chosen = device.engine.prepare(count, RADIUS_MM, &settings).unwrap().parameters().max_short;
         assert_eq!(chosen, capacity, "{lanes} lanes");
         faces.agrees(device, &settings, true);
     }

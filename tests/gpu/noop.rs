@@ -1,4 +1,4 @@
-//! Every pipeline is one that WebGPU's default limits allow: a device that computes nothing but checks all.
+//! Every pipeline is valid within WebGPU's default limits, on a device that validates but computes nothing.
 
 use lumenmesh::gpu::Requirements;
 use lumenmesh::low_level::cylinders::gpu::GpuEngine;

@@ -3,12 +3,12 @@
 use crate::compare::{Tolerance, integers, numbers};
 use crate::device::{Device, POISON, device};
 use crate::sections::recording;
-use lumenmesh::cylinders::{Job, Track};
+use lumenmesh::cylinders::{FitRequest, Track};
 use lumenmesh::low_level::cylinders::passes::{Gate, Section, TubeTransform, project};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
 
-/// What the twin makes of each slot: its cylinder and tube coordinates, or nothing where it does not pass.
+/// The twin's result for each slot: its cylinder and tube coordinates, or none where it does not pass.
 struct Expected {
     owners: Vec<u32>,
     passed: Vec<usize>,
@@ -16,18 +16,18 @@ struct Expected {
     gated: Vec<u32>,
 }
 
-fn twin(job: &Job) -> Expected {
+fn twin(request: &FitRequest) -> Expected {
     let mut expected = Expected {
         owners: Vec::new(),
         passed: Vec::new(),
         coordinates: Default::default(),
-        gated: vec![0; job.frames.len()],
+        gated: vec![0; request.frames.len()],
     };
-    for (cylinder, &frame) in job.frames.iter().enumerate() {
-        let gate = Gate::<f32>::new(job.settings, job.track.cylinder(frame).unwrap().radius_mm);
-        for near in job.track.near(frame, job.settings).unwrap() {
+    for (cylinder, &frame) in request.frames.iter().enumerate() {
+        let gate = Gate::<f32>::new(request.settings, request.track.cylinder(frame).unwrap().radius_mm);
+        for near in request.track.near(frame, request.settings).unwrap() {
             let transform = TubeTransform::new(&near.cylinder_from_probe);
-            for point in &job.track.echoes_mm()[near.echoes] {
+            for point in &request.track.echoes_mm()[near.echoes] {
                 let mut one = Section::default();
                 project(std::slice::from_ref(point), &transform, &gate, &mut one);
                 expected.gated[cylinder] += one.gated as u32;
@@ -55,9 +55,9 @@ fn agrees(
     pairs: std::ops::Range<u32>,
 ) {
     let track = Track::of(recording, settings).unwrap();
-    let job = Job::new(&track, frames, settings);
-    let [workspace] = &device.engine.prepare_job(&job).unwrap()[..] else { panic!("one batch") };
-    assert!(pairs.contains(&workspace.job().pairs), "{} pairs", workspace.job().pairs);
+    let request = FitRequest::new(&track, frames, settings);
+    let [workspace] = &device.engine.prepare_request(&request).unwrap()[..] else { panic!("one batch") };
+    assert!(pairs.contains(&workspace.parameters().pairs), "{} pairs", workspace.parameters().pairs);
     let none = vec![0_u32; frames.len()];
     let [section, owners, gated] = device.run(
         workspace,
@@ -65,8 +65,8 @@ fn agrees(
         &[("gated", bytemuck::cast_slice(&none))],
         ["section", "owners", "gated"],
     );
-    let expected = twin(&job);
-    assert_eq!(expected.owners.len(), workspace.job().slots as usize);
+    let expected = twin(&request);
+    assert_eq!(expected.owners.len(), workspace.parameters().slots as usize);
     assert_eq!(gated.words[..frames.len()], expected.gated);
     // A point on the gate's edge may fall on either side where a device rounds in its own way; POISON, "not
     // passed", is what the buffer held, so a mark of it cannot be told from a word left out.
@@ -110,8 +110,8 @@ fn project_is_its_twin() {
     let pullback = recording(60, 100, 1);
     agrees(device, &pullback, &settings, &[5, 20, 33, 59], 40..240);
     let track = Track::of(&pullback, &settings).unwrap();
-    assert!(twin(&Job::new(&track, &[59], &settings)).gated[0] > 0, "no point tries the gate");
-    // One point a frame, and a number of points about the 64 invocations of a workgroup.
+    assert!(twin(&FitRequest::new(&track, &[59], &settings)).gated[0] > 0, "no point tries the gate");
+    // One point per frame, and a number of points about the 64 invocations of a workgroup.
     for rays in [1, 2, 63, 64, 65, 257] {
         let found = recording(8, rays, u64::from(rays as u32));
         if found.frames.iter().any(|f| f.echoes_mm().count() > 0) {

@@ -3,9 +3,9 @@
 use crate::cylinders::assert_same;
 use crate::device::{Device, device, say};
 use crate::sections::{RADIUS_MM, recording, rows, wall};
-use lumenmesh::cylinders::{Engine, Job, Track, merged_frames};
+use lumenmesh::cylinders::{Engine, FitRequest, Track, merged_frames};
 use lumenmesh::gpu::Requirements;
-use lumenmesh::low_level::cylinders::gpu::{GpuEngine, PASSES, Workspace};
+use lumenmesh::low_level::cylinders::gpu::{FitWorkspace, GpuEngine, PASSES};
 use lumenmesh::low_level::cylinders::passes::Section;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
@@ -16,7 +16,7 @@ use std::time::Duration;
 /// Submits what `record` records and returns the radii of some workspaces.
 fn radii<const N: usize>(
     device: &Device,
-    workspaces: [&Workspace; N],
+    workspaces: [&FitWorkspace; N],
     record: impl FnOnce(&mut wgpu::CommandEncoder),
 ) -> [Vec<f64>; N] {
     let (host, queue) = (device.engine.device(), device.engine.queue());
@@ -45,7 +45,7 @@ fn radii<const N: usize>(
     })
 }
 
-fn write(device: &Device, workspace: &Workspace, section: &Section<f32>) {
+fn write(device: &Device, workspace: &FitWorkspace, section: &Section<f32>) {
     device.engine.queue().write_buffer(workspace.section(), 0, bytemuck::cast_slice(&rows(section)));
 }
 
@@ -147,11 +147,12 @@ fn a_device_with_little_room_takes_a_job_in_batches() {
         let count = |_| {
             batches.fetch_add(1, Ordering::Relaxed);
         };
-        let job = Job { history: true, progress: &count, ..Job::new(&track, &frames, &settings) };
-        let found = little.fit(&job).unwrap();
+        let request =
+            FitRequest { history: true, progress: &count, ..FitRequest::new(&track, &frames, &settings) };
+        let found = little.fit(&request).unwrap();
         let batches = batches.load(Ordering::Relaxed);
         assert!((2..=frames.len()).contains(&batches), "{batches} batches of {} cylinders", frames.len());
-        let expected = device.engine.fit(&Job { progress: &|_| (), ..job }).unwrap();
+        let expected = device.engine.fit(&FitRequest { progress: &|_| (), ..request }).unwrap();
         for (found, expected) in found.iter().zip(&expected) {
             assert_eq!(found.frame, expected.frame);
             assert_same(&found.tube, &expected.tube);

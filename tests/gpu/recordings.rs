@@ -4,7 +4,7 @@ use crate::cylinders::{assert_all_agree, assert_same};
 use crate::device::{device, say};
 use crate::sections::recording;
 use lumenmesh::cylinders::merge::Vessel;
-use lumenmesh::cylinders::{CpuEngine, Engine, Job, Track, merged_frames};
+use lumenmesh::cylinders::{CpuEngine, Engine, FitRequest, Track, merged_frames};
 use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Outliers, Settings, Statistic};
@@ -44,10 +44,15 @@ fn a_recording_fits_as_on_the_cpu_with_every_rule_and_grid() {
                 let count = |n: usize| {
                     ready.fetch_add(n, Ordering::Relaxed);
                 };
-                let job = Job { history: true, progress: &count, ..Job::new(&track, &frames, &settings) };
-                let found = device.engine.fit(&job).unwrap();
+                let request = FitRequest {
+                    history: true,
+                    progress: &count,
+                    ..FitRequest::new(&track, &frames, &settings)
+                };
+                let found = device.engine.fit(&request).unwrap();
                 assert_eq!(ready.load(Ordering::Relaxed), frames.len());
-                let expected = CpuEngine::<f32>::new().fit(&Job { progress: &|_| (), ..job }).unwrap();
+                let expected =
+                    CpuEngine::<f32>::new().fit(&FitRequest { progress: &|_| (), ..request }).unwrap();
                 assert_all_agree(device, &found, &expected);
             }
         }
@@ -81,9 +86,9 @@ fn golden_cylinders_come_out_to_the_precision_of_f32() {
         frames.dedup();
         let settings = Settings::default().with_nodes(nodes).with_levels(levels).with_statistic(statistic);
         let track = Track::of(&Recording::read(&recording).unwrap(), &settings).unwrap();
-        let job = Job { history: true, ..Job::new(&track, &frames, &settings) };
-        let found = device.engine.fit(&job).unwrap();
-        assert_all_agree(device, &found, &CpuEngine::<f32>::new().fit(&job).unwrap());
+        let request = FitRequest { history: true, ..FitRequest::new(&track, &frames, &settings) };
+        let found = device.engine.fit(&request).unwrap();
+        assert_all_agree(device, &found, &CpuEngine::<f32>::new().fit(&request).unwrap());
 
         let mut differences: Vec<f64> = Vec::new();
         for cylinder in &found {
@@ -118,10 +123,10 @@ fn the_fitting_error_is_the_cpu_s() {
         let settings = Settings::default();
         let track = Track::of(&Recording::read(&recording).unwrap(), &settings).unwrap();
         let frames = merged_frames(track.len(), &settings);
-        let job = Job::new(&track, &frames, &settings);
+        let request = FitRequest::new(&track, &frames, &settings);
         let truth = Truth::new(Surface::read(&truth).unwrap()).unwrap();
         let [found, expected] = [&device.engine as &dyn Engine, &CpuEngine::<f32>::new()].map(|engine| {
-            let vessel = Vessel::of(&engine.fit(&job).unwrap(), settings.merge);
+            let vessel = Vessel::of(&engine.fit(&request).unwrap(), settings.merge);
             evaluate(&vessel.surface(), &truth).unwrap().mesh_to_truth.mean_mm
         });
         println!("{name}: fitting error {found:.6} mm on the device, {expected:.6} mm on the CPU");
@@ -134,9 +139,9 @@ fn a_second_run_gives_the_same_bits() {
     let Some(device) = device() else { return };
     let settings = Settings::default().with_nodes(24).with_levels(8);
     let track = Track::of(&recording(40, 500, 109), &settings).unwrap();
-    let job = Job::new(&track, &[9, 19, 29, 39], &settings);
-    let first = device.engine.fit(&job).unwrap();
-    for (a, b) in device.engine.fit(&job).unwrap().iter().zip(&first) {
+    let request = FitRequest::new(&track, &[9, 19, 29, 39], &settings);
+    let first = device.engine.fit(&request).unwrap();
+    for (a, b) in device.engine.fit(&request).unwrap().iter().zip(&first) {
         assert_same(&a.tube, &b.tube);
     }
 }

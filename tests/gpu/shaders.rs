@@ -1,7 +1,9 @@
-//! What is written in Rust and in WGSL says the same.
+//! Shaders, pass tables and twins agree: files, bindings, layouts and constants.
 
-use lumenmesh::low_level::cylinders::gpu::{DeviceCylinder, DeviceJob, DevicePair, LANES, PASSES};
-use lumenmesh::low_level::cylinders::passes::TriangleStatistic;
+use lumenmesh::low_level::cylinders::gpu::{LANES, PASSES};
+use lumenmesh::low_level::cylinders::passes::{
+    DeviceCylinder, DevicePair, FitParameters, NONE, TriangleStatistic,
+};
 use lumenmesh::low_level::gpu::{Access, Shader};
 use lumenmesh::low_level::sweep;
 use lumenmesh::settings::{Outliers, Settings, Statistic};
@@ -47,28 +49,69 @@ fn wgsl_files(folder: &str) -> Vec<PathBuf> {
     files
 }
 
+/// A file's path from the top of the repository, with `/`.
+fn from_top(file: &Path) -> String {
+    let path = file.strip_prefix(env!("CARGO_MANIFEST_DIR")).unwrap();
+    path.iter().map(|part| part.to_str().unwrap()).collect::<Vec<_>>().join("/")
+}
+
 #[test]
 fn every_shader_file_is_a_pass_or_part_of_one_and_valid() {
     for (folder, passes) in
         [("shaders/cylinders", fit().collect::<Vec<_>>()), ("shaders/sweep", sweep().collect())]
     {
-        for file in wgsl_files(folder) {
+        let files = wgsl_files(folder);
+        for file in &files {
             let name = file.file_stem().unwrap().to_str().unwrap();
-            let text = std::fs::read_to_string(&file).unwrap();
-            let of_file: Vec<_> = passes.iter().filter(|pass| pass.file == name).collect();
-            assert!(!of_file.is_empty(), "{} is in no row of PASSES", file.display());
-            for pass in of_file {
-                assert_eq!(pass.own_source, text);
+            let rows: Vec<_> = passes.iter().filter(|pass| pass.file == name).collect();
+            assert!(!rows.is_empty(), "{} is in no row of PASSES", file.display());
+            for pass in rows {
+                assert_eq!(pass.own_source, std::fs::read_to_string(file).unwrap());
                 module(pass);
             }
         }
+        let named: BTreeSet<_> = passes.iter().map(|pass| pass.file).collect();
+        assert_eq!(named.len(), files.len());
         for file in wgsl_files(&format!("{folder}/common")) {
-            let text = std::fs::read_to_string(&file).unwrap();
-            let used = passes.iter().any(|pass| pass.common.contains(&text.as_str()));
-            assert!(used, "no pass uses {}", file.display());
+            assert_used(&file, &passes);
         }
-        let files: BTreeSet<&str> = passes.iter().map(|pass| pass.file).collect();
-        assert_eq!(files.len(), wgsl_files(folder).len());
+    }
+    for file in wgsl_files("shaders/common") {
+        assert_used(&file, &fit().chain(sweep()).collect::<Vec<_>>());
+    }
+}
+
+fn assert_used(common: &Path, passes: &[&Shader]) {
+    let text = std::fs::read_to_string(common).unwrap();
+    let used = passes.iter().any(|pass| pass.common.contains(&text.as_str()));
+    assert!(used, "no pass uses {}", common.display());
+}
+
+/// Folders of shaders, and the folders of their twins in Rust.
+const TWINS: [(&str, &str); 5] = [
+    ("shaders/common", "src/numerics"),
+    ("shaders/cylinders/common", "src/cylinders/fit/passes"),
+    ("shaders/cylinders", "src/cylinders/fit/passes"),
+    ("shaders/sweep/common", "src/sweep/wall/passes"),
+    ("shaders/sweep", "src/sweep/wall/passes"),
+];
+
+/// Shaders without a twin, and the reason.
+const WITHOUT_TWIN: [(&str, &str); 1] =
+    [("shaders/common/dispatch.wgsl", "it numbers workgroups, which the CPU does not have")];
+
+#[test]
+fn every_shader_file_has_a_twin_of_its_name() {
+    for (shaders, twins) in TWINS {
+        for file in wgsl_files(shaders) {
+            let name = file.file_stem().unwrap().to_str().unwrap();
+            let twin = Path::new(env!("CARGO_MANIFEST_DIR")).join(twins).join(format!("{name}.rs"));
+            let excepted = WITHOUT_TWIN.iter().any(|(without, _)| *without == from_top(&file));
+            assert!(twin.is_file() != excepted, "{} and {}", file.display(), twin.display());
+        }
+    }
+    for (without, _) in WITHOUT_TWIN {
+        assert!(Path::new(env!("CARGO_MANIFEST_DIR")).join(without).is_file(), "{without} is gone");
     }
 }
 
@@ -133,6 +176,19 @@ fn workgroups_are_those_of_the_pass_table_and_fit_the_default_limits() {
     assert_eq!(limits.max_compute_workgroups_per_dimension, 65_535);
 }
 
+#[test]
+fn pipeline_constants_are_those_of_the_pass_table() {
+    for pass in fit().chain(sweep()) {
+        let module = module(pass);
+        let found: BTreeSet<_> = module.overrides.iter().map(|(_, o)| o.name.as_deref().unwrap()).collect();
+        let variants = pass.variants.iter().map(|(name, _)| *name);
+        let given: BTreeSet<_> = pass.constants.iter().map(|(name, _)| *name).chain(variants).collect();
+        assert_eq!(found, given, "{}", pass.name);
+    }
+    let top = |name: &str| row(name).constants.to_vec();
+    assert_eq!((top("fill_bottom"), top("fill_top")), (vec![("TOP", 0.0)], vec![("TOP", 1.0)]));
+}
+
 /// Size and the members' offsets of a structure.
 fn layout(module: &Module, name: &str) -> (u32, Vec<(String, u32)>) {
     let (_, ty) = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).unwrap();
@@ -148,12 +204,12 @@ macro_rules! fields {
 
 #[test]
 fn structures_have_the_same_layout() {
-    let job = fields!(DeviceJob: nodes, levels, faces, node_count, cylinders, slots, outliers, statistic,
-        half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, short_most, pairs);
+    let parameters = fields!(FitParameters: nodes, levels, faces, node_count, cylinders, slots, outliers, statistic,
+        half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, max_short, pairs);
     let cylinder = fields!(DeviceCylinder: gate_low, gate_high, scale, unit);
     let statistic = fields!(TriangleStatistic<f32>: value, kept, residual);
     for pass in fit() {
-        assert_eq!(layout(&module(pass), "Job"), job, "{}", pass.name);
+        assert_eq!(layout(&module(pass), "FitParameters"), parameters, "{}", pass.name);
     }
     assert_eq!(layout(&module(row("project")), "Cylinder"), cylinder);
     assert_eq!(layout(&module(row("support")), "TriangleStatistic"), statistic);
@@ -224,8 +280,9 @@ fn constant(module: &Module, name: &str) -> u32 {
 
 #[test]
 fn constants_are_those_of_rust() {
-    let job = |outliers, statistic| {
-        DeviceJob::new(&Settings::default().with_outliers(outliers).with_statistic(statistic), 1, 0, None, 4)
+    let parameters = |outliers, statistic| {
+        let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
+        FitParameters::new(&settings, 1, 0, None, 4)
     };
     let shader = module(row("measure_long"));
     for (name, outliers) in [
@@ -233,13 +290,12 @@ fn constants_are_those_of_rust() {
         ("OUTLIERS_DEVIATION", Outliers::Deviation),
         ("OUTLIERS_NONE", Outliers::None),
     ] {
-        assert_eq!(constant(&shader, name), job(outliers, Statistic::Mean).outliers);
+        assert_eq!(constant(&shader, name), parameters(outliers, Statistic::Mean).outliers);
     }
     for (name, statistic) in [("STATISTIC_MEAN", Statistic::Mean), ("STATISTIC_MEDIAN", Statistic::Median)] {
-        assert_eq!(constant(&shader, name), job(Outliers::Iqr, statistic).statistic);
+        assert_eq!(constant(&shader, name), parameters(Outliers::Iqr, statistic).statistic);
     }
-    // No owner: the mark that the CPU's stages leave in slots without a point.
-    assert_eq!(constant(&shader, "NONE"), u32::MAX);
+    assert_eq!(constant(&shader, "NONE"), NONE);
     assert_eq!(constant(&shader, "THREADS"), row("measure_long").workgroup_size);
 }
 
@@ -259,7 +315,7 @@ fn a_short_face_has_room_for_all_its_points() {
     };
     for lanes in LANES {
         let faces = row("measure_short").workgroup_size / lanes;
-        let capacity = DeviceJob::new(&Settings::default(), 1, 0, None, lanes).short_most;
+        let capacity = FitParameters::new(&Settings::default(), 1, 0, None, lanes).max_short;
         assert_eq!(capacity, 8 * lanes);
         assert!(length("keys") >= 2 * faces * capacity, "{lanes} lanes");
         for name in ["number", "first", "third", "below", "kept", "all_low", "sum_high", "abs_high"] {

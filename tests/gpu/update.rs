@@ -11,7 +11,7 @@ use rand::RngExt;
 #[test]
 fn update_is_its_twin() {
     let Some(device) = device() else { return };
-    for_three_cylinders(|workspace, job, tube, _| {
+    for_three_cylinders(|workspace, request, tube, _| {
         let (faces, nodes) = (tube.face_count(), tube.node_count());
         let mut rng = seeded(47);
         let values: Vec<f32> = (0..6 * faces).map(|_| rng.random_range(-2.0..2.0)).collect();
@@ -24,8 +24,9 @@ fn update_is_its_twin() {
         let [radii, travels] = device.run(workspace, "update", &inputs, ["radii", "travels"]);
 
         let mut expected = before.clone();
-        for (cylinder, &frame) in job.frames.iter().enumerate() {
-            let filter = Filter::<f32>::new(job.settings, job.track.cylinder(frame).unwrap().radius_mm);
+        for (cylinder, &frame) in request.frames.iter().enumerate() {
+            let filter =
+                Filter::<f32>::new(request.settings, request.track.cylinder(frame).unwrap().radius_mm);
             let own = &mut expected[cylinder * nodes..(cylinder + 1) * nodes];
             let mean = update(&values[2 * cylinder * faces..2 * (cylinder + 1) * faces], tube, &filter, own);
             let [low, high] = [travels.words[2 * cylinder], travels.words[2 * cylinder + 1]];
@@ -42,7 +43,7 @@ fn update_is_its_twin() {
 #[test]
 fn support_is_its_twin() {
     let Some(device) = device() else { return };
-    for_three_cylinders(|workspace, job, tube, statistics| {
+    for_three_cylinders(|workspace, request, tube, statistics| {
         let faces = tube.face_count();
         let (mut counts, mut residuals, mut tallies) = (Vec::new(), Vec::new(), Vec::new());
         let offsets: Vec<u32> = (0..=3 * faces as u32).map(|face| face * face % 977 + 1000 * face).collect();
@@ -53,7 +54,7 @@ fn support_is_its_twin() {
             tallies.push(own.iter().map(|s| s.kept).sum::<u32>());
             tallies.push(offsets[(cylinder + 1) * faces] - offsets[cylinder * faces]);
         }
-        assert_eq!(tallies.len(), 2 * job.frames.len());
+        assert_eq!(tallies.len(), 2 * request.frames.len());
         let words = words(statistics);
         let inputs = [
             ("statistics", bytemuck::cast_slice(&words)),

@@ -3,7 +3,9 @@
 use glam::{DMat3, DVec3};
 use lumenmesh::cylinders::Tube;
 use lumenmesh::cylinders::merge::{Blend, Ring, Vessel};
-use lumenmesh::cylinders::{CpuEngine, DeformedTube, Engine, FittedCylinder, Job, Track, merged_frames};
+use lumenmesh::cylinders::{
+    CpuEngine, DeformedTube, Engine, FitRequest, FittedCylinder, Track, merged_frames,
+};
 use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::geometry::Pose;
 use lumenmesh::settings::{Merge, Settings};
@@ -233,7 +235,7 @@ fn blending_is_nearer_to_the_truth_than_stitching() {
         let settings = Settings::default();
         let track = Track::of(&simulation.recording, &settings).unwrap();
         let frames = merged_frames(track.len(), &settings);
-        let cylinders = CpuEngine::<f32>::new().fit(&Job::new(&track, &frames, &settings)).unwrap();
+        let cylinders = CpuEngine::<f32>::new().fit(&FitRequest::new(&track, &frames, &settings)).unwrap();
         let [stitched, blended] = [Merge::Stitch, Merge::Blend].map(|merge| {
             let surface = Vessel::of(&cylinders, merge).surface();
             surface.check().unwrap();

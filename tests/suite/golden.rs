@@ -2,10 +2,11 @@
 
 use glam::DVec2;
 use lumenmesh::cylinders::Tube;
-use lumenmesh::cylinders::{CpuEngine, Engine, FittedCylinder, Job, Track};
+use lumenmesh::cylinders::{CpuEngine, Engine, FitRequest, FittedCylinder, Track};
 use lumenmesh::low_level::cylinders::passes::{
-    Face, Filter, Gate, Grid, Groups, Section, TubeTransform, distance, fill, filter, group, project, update,
+    Face, Filter, Gate, Section, TubeGrid, TubeTransform, distance, fill, measure_long, project, update,
 };
+use lumenmesh::low_level::cylinders::{Groups, group};
 use lumenmesh::low_level::numerics::Scalar;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Settings, Statistic};
@@ -52,7 +53,7 @@ struct Case {
 
 impl Case {
     fn fit<T: Scalar>(&self) -> Radii {
-        let job = Job { history: true, ..Job::new(&self.track, &self.frames, &self.settings) };
+        let job = FitRequest { history: true, ..FitRequest::new(&self.track, &self.frames, &self.settings) };
         radii(&CpuEngine::<T>::new().fit(&job).unwrap())
     }
 }
@@ -163,7 +164,7 @@ impl Doubts {
         let section: Section<f64> = track.section(frame, settings).unwrap();
         let groups = group(&section, &tube);
         let filter_of = Filter::<f64>::new(settings, radius_mm);
-        let grid = Grid::<f64>::new(&tube);
+        let grid = TubeGrid::<f64>::new(&tube);
         let faces_on_edges = faces_in_doubt(track, frame, settings, &grid);
 
         let mut radii = vec![radius_mm; tube.node_count()];
@@ -177,7 +178,7 @@ impl Doubts {
                     let corners = corners(&tube, face);
                     let inherited = *on_edge || corners.iter().any(|&c| nodes[c]);
                     let (distances, turns) = distances_of(&groups, &grid, &radii, face, corners, off, top);
-                    statistics.push(filter(&distances, &filter_of, &mut Vec::new()));
+                    statistics.push(measure_long(&distances, &filter_of, &mut Vec::new()));
                     doubts.push(inherited || turns || on_a_fence(&distances, off));
                 }
             }
@@ -202,7 +203,7 @@ fn corners(tube: &Tube, face: usize) -> [usize; 4] {
 }
 
 /// Faces that have a point which rounding could put into another face or across the gate, or take from there.
-fn faces_in_doubt(track: &Track, frame: usize, settings: &Settings, grid: &Grid<f64>) -> Vec<bool> {
+fn faces_in_doubt(track: &Track, frame: usize, settings: &Settings, grid: &TubeGrid<f64>) -> Vec<bool> {
     let cylinder = track.cylinder(frame).unwrap();
     let gate = Gate::<f64>::new(settings, cylinder.radius_mm);
     let (mut exact, mut single) = (Section::<f64>::default(), Section::<f32>::default());
@@ -245,7 +246,7 @@ fn faces_in_doubt(track: &Track, frame: usize, settings: &Settings, grid: &Grid<
 /// The distances of the points that a face's bottom or top triangle gets, and whether another triangle could get one.
 fn distances_of(
     groups: &Groups<f64>,
-    grid: &Grid<f64>,
+    grid: &TubeGrid<f64>,
     radii: &[f64],
     face: usize,
     corners: [usize; 4],

@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec2, DVec3};
 use lumenmesh::cylinders::estimate::LocalEstimate;
 use lumenmesh::cylinders::merge::Vessel;
-use lumenmesh::cylinders::{CpuEngine, Engine, FittedCylinder, Job, Track, merged_frames};
+use lumenmesh::cylinders::{CpuEngine, Engine, FitRequest, FittedCylinder, Track, merged_frames};
 use lumenmesh::cylinders::{CylinderReconstruction, write_cylinders};
 use lumenmesh::evaluate::Truth;
 use lumenmesh::geometry::Pose;
@@ -24,7 +24,7 @@ fn read(name: &str) -> Option<Recording> {
 }
 
 fn fit<T: Scalar>(track: &Track, frames: &[usize], settings: &Settings) -> Vec<FittedCylinder> {
-    let job = Job { history: true, ..Job::new(track, frames, settings) };
+    let job = FitRequest { history: true, ..FitRequest::new(track, frames, settings) };
     CpuEngine::<T>::new().fit(&job).unwrap()
 }
 

@@ -1,4 +1,5 @@
-// Signed distance of a point to the nearer triangle of its face. Twin: fit/passes/distance.rs.
+// Signed distance of a point to the nearer triangle of its face.
+// Twin: cylinders/fit/passes/distance.rs.
 
 struct Face {
     b: f32,
@@ -11,7 +12,7 @@ struct Nearer {
     top: bool,
 }
 
-// Written out, so that the order of the sums is the twin's.
+// Written out, because `dot` does not fix the order of its sums.
 fn dot3(p: vec3f, q: vec3f) -> f32 {
     return p.x * q.x + p.y * q.y + p.z * q.z;
 }

@@ -1,4 +1,4 @@
-// Ranks and bounds. Twin: fit/passes/filter.rs.
+// Ranks of order statistics, and bounds of the distances that count. Twin: cylinders/fit/passes/filter.rs.
 
 // 0-based ranks of the quartiles of n >= 2 values and of the median of n >= 1 values.
 fn first_quartile(n: u32) -> u32 {
@@ -13,7 +13,7 @@ fn median(n: u32) -> u32 {
     return (n + 2u) / 2u - 1u;
 }
 
-// Which distances count, both bounds included.
+// The interval of distances that count, both ends included.
 struct Bounds {
     low: f32,
     high: f32,

@@ -1,5 +1,5 @@
 use super::passes::Section;
-use super::{CpuEngine, DeformedTube, Engine, FittedCylinder, Job};
+use super::{CpuEngine, DeformedTube, Engine, FitRequest, FittedCylinder};
 use crate::Result;
 #[cfg(feature = "gpu")]
 use crate::engine;
@@ -8,7 +8,7 @@ use crate::settings::Settings;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Fits on whatever is likely to be fastest for the work at hand, and on the CPU where a device fails.
+/// Fits on the engine that is likely to be fastest for the amount of work, and on the CPU where a device fails.
 ///
 /// The work on the CPU is estimated from the number of points, faces and iterations. Below
 /// [`WORTH_A_DEVICE_S`] no device is looked for, because starting one takes longer; above, the best
@@ -20,18 +20,18 @@ pub struct AutoEngine {
     device: Mutex<Option<Device>>,
 }
 
-/// The device of the last call that looked for one.
+/// The device that the last call looked for.
 #[cfg(feature = "gpu")]
 struct Device {
-    /// The setting that it was looked for by.
+    /// The setting that names it.
     adapter: Option<String>,
-    /// What was found, or why there is none.
+    /// The engine, or why there is none.
     engine: Result<std::sync::Arc<super::gpu::GpuEngine>, String>,
 }
 
 impl AutoEngine {
-    /// CPU time of a point and of a face in one iteration, in seconds: about twice what `benches/fit.rs` gives on one
-    /// core of a server processor, since slower ones are common. They steer a choice, not a result.
+    /// CPU time of a point and of a face in one iteration, in seconds: about twice that of `benches/fit.rs` on one
+    /// core of a server processor, since slower ones are common. They affect the choice of an engine, not a result.
     const SECONDS_PER_POINT: f64 = 25e-9;
     const SECONDS_PER_FACE: f64 = 60e-9;
 
@@ -42,7 +42,7 @@ impl AutoEngine {
         f64::from(settings.iterations + 1) * an_iteration / rayon::current_num_threads() as f64
     }
 
-    /// Runs work that takes the CPU so many seconds on the engine that suits it.
+    /// Runs work that would take the CPU `cpu_seconds` on the engine that suits it.
     fn run<R>(
         &self,
         cpu_seconds: f64,
@@ -81,7 +81,7 @@ impl AutoEngine {
         }
     }
 
-    /// The device of that name, or the best one: started once for calls that ask for the same.
+    /// The device of that name, or the best one. It is started once and kept for later calls with the same name.
     #[cfg(feature = "gpu")]
     fn device(&self, adapter: Option<&str>) -> Result<std::sync::Arc<super::gpu::GpuEngine>, String> {
         let mut device = locked(&self.device);
@@ -102,15 +102,15 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Progress of work that one engine may begin and another do all over: no cylinder is told of twice.
+/// Progress of work that one engine may begin and another repeat: each cylinder is reported once.
 struct Tally<'a> {
-    told: AtomicUsize,
-    tell: &'a (dyn Fn(usize) + Sync),
+    reported: AtomicUsize,
+    report: &'a (dyn Fn(usize) + Sync),
 }
 
 impl<'a> Tally<'a> {
-    fn new(tell: &'a (dyn Fn(usize) + Sync)) -> Self {
-        Self { told: AtomicUsize::new(0), tell }
+    fn new(report: &'a (dyn Fn(usize) + Sync)) -> Self {
+        Self { reported: AtomicUsize::new(0), report }
     }
 
     /// The progress of an engine that begins.
@@ -118,9 +118,9 @@ impl<'a> Tally<'a> {
         let ready = AtomicUsize::new(0);
         move |newly| {
             let ready = ready.fetch_add(newly, Ordering::Relaxed) + newly;
-            let told = self.told.fetch_max(ready, Ordering::Relaxed);
-            if ready > told {
-                (self.tell)(ready - told);
+            let reported = self.reported.fetch_max(ready, Ordering::Relaxed);
+            if ready > reported {
+                (self.report)(ready - reported);
             }
         }
     }
@@ -131,14 +131,20 @@ impl Engine for AutoEngine {
         locked(&self.last).clone()
     }
 
-    fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>> {
+    fn fit(&self, request: &FitRequest) -> Result<Vec<FittedCylinder>> {
         let mut points = 0;
-        for &frame in job.frames {
-            points += job.track.near(frame, job.settings)?.map(|near| near.echoes.len() as u64).sum::<u64>();
+        for &frame in request.frames {
+            points += request
+                .track
+                .near(frame, request.settings)?
+                .map(|near| near.echoes.len() as u64)
+                .sum::<u64>();
         }
-        let seconds = Self::cpu_seconds(points, job.frames.len(), job.settings);
-        let tally = Tally::new(job.progress);
-        self.run(seconds, job.settings, |engine| engine.fit(&Job { progress: &tally.attempt(), ..*job }))
+        let seconds = Self::cpu_seconds(points, request.frames.len(), request.settings);
+        let tally = Tally::new(request.progress);
+        self.run(seconds, request.settings, |engine| {
+            engine.fit(&FitRequest { progress: &tally.attempt(), ..*request })
+        })
     }
 
     fn fit_section(

@@ -1,9 +1,11 @@
 //! The fit on the CPU: f32 as the device computes it, or f64 as the reference.
 
+use super::groups::{Groups, group};
 use super::passes::{
-    Face, Filter, Grid, Groups, Section, TriangleStatistic, distance, fill, filter, group, support, update,
+    Face, Filter, Section, TriangleStatistic, TubeGrid, distance, fill, measure_long, measure_short, support,
+    update,
 };
-use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job, check_section};
+use super::{DeformedTube, Engine, EngineDescription, FitRequest, FittedCylinder, check_section};
 use crate::Result;
 use crate::cylinders::Tube;
 use crate::numerics::Scalar;
@@ -31,14 +33,15 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         EngineDescription { name: name.into(), ..EngineDescription::default() }
     }
 
-    fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>> {
-        job.frames
+    fn fit(&self, request: &FitRequest) -> Result<Vec<FittedCylinder>> {
+        request
+            .frames
             .par_iter()
             .map(|&frame| {
-                let cylinder = job.track.cylinder(frame)?;
-                let section = job.track.section::<T>(frame, job.settings)?;
-                let tube = deform(&section, cylinder.radius_mm, job.settings, job.history);
-                (job.progress)(1);
+                let cylinder = request.track.cylinder(frame)?;
+                let section = request.track.section::<T>(frame, request.settings)?;
+                let tube = deform(&section, cylinder.radius_mm, request.settings, request.history);
+                (request.progress)(1);
                 Ok(FittedCylinder { frame, world_from_cylinder: cylinder.world_from_cylinder, tube })
             })
             .collect()
@@ -63,7 +66,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     }
 }
 
-/// The whole fit of one tube (method, section 4).
+/// The whole fit of one tube (docs/method.md, "Local cylinder fit").
 fn deform<T: Scalar>(
     section: &Section<T>,
     radius_mm: f64,
@@ -90,7 +93,7 @@ pub(super) struct Deformation<T> {
     pub(super) groups: Groups<T>,
     /// Radii of the nodes.
     pub(super) radii: Vec<T>,
-    /// What each triangle said in the last iteration.
+    /// The statistic of each triangle in the last iteration.
     pub(super) statistics: Vec<TriangleStatistic<T>>,
     /// Mean |travel| of each iteration, mm.
     pub(super) travel_mm: Vec<f64>,
@@ -159,7 +162,7 @@ pub(super) fn residual_mm<T: Scalar>(support: &[u32], residuals: &[T]) -> Vec<f6
     support.iter().zip(residuals).map(|(&n, r)| if n == 0 { f64::NAN } else { r.to_f64() }).collect()
 }
 
-/// Runs of faces with enough points to be worth a thread's while.
+/// Runs of faces with enough points each to pay for a thread.
 fn chunks<T: Scalar>(groups: &Groups<T>, faces: usize) -> Vec<Range<usize>> {
     const POINTS: u32 = 16_384;
     const FACES: usize = 8_192;
@@ -175,7 +178,7 @@ fn chunks<T: Scalar>(groups: &Groups<T>, faces: usize) -> Vec<Range<usize>> {
     chunks
 }
 
-/// The distance and filter passes over all faces: the statistic of every triangle.
+/// Distances and statistics of all faces: the statistic of every triangle.
 fn measure<T: Scalar>(
     groups: &Groups<T>,
     tube: &Tube,
@@ -193,12 +196,25 @@ fn measure<T: Scalar>(
         tops = rest;
         work.push(Chunk { groups, tube, filter, radii, faces: faces.clone(), bottom, top });
     }
-    // The widest vectors that the processor has; the results are the same on all, since nothing is fused.
+    // The widest vectors that the processor has. They all give the same results, since nothing is fused.
     let arch = pulp::Arch::new();
     if work.len() == 1 {
         work.into_iter().for_each(|chunk| arch.dispatch(chunk));
     } else {
         work.into_par_iter().for_each(|chunk| arch.dispatch(chunk));
+    }
+}
+
+/// Up to this many distances of a triangle are sorted by insertion; above, order statistics are selected.
+const MAX_SHORT: usize = 24;
+
+/// The statistic of a triangle's signed distances, by the method that is faster for their number.
+#[inline(always)]
+fn statistic<T: Scalar>(distances: &[T], filter: &Filter<T>, keys: &mut Vec<T::Key>) -> TriangleStatistic<T> {
+    if distances.len() <= MAX_SHORT {
+        measure_short(distances, filter, keys)
+    } else {
+        measure_long(distances, filter, keys)
     }
 }
 
@@ -213,11 +229,11 @@ struct Chunk<'a, T> {
     top: &'a mut [TriangleStatistic<T>],
 }
 
-/// Points that go through the distance pass together.
+/// Points whose distances are computed together.
 const BLOCK: usize = 256;
 
-/// Room for a batch of points and their distances, component by component, so that the distance pass runs in
-/// vectors.
+/// Room for a batch of points and their distances, component by component, so that the compiler can vectorise
+/// the distances.
 struct Batch<T> {
     p: [[T; BLOCK]; 3],
     /// r of b, b' and a' of each point's face, less r of a.
@@ -234,7 +250,7 @@ impl<T: Scalar> Batch<T> {
 
     /// The distances of all points of some faces.
     #[inline(always)]
-    fn measure(&mut self, chunk: &Chunk<T>, grid: &Grid<T>, faces: Range<usize>) {
+    fn measure(&mut self, chunk: &Chunk<T>, grid: &TubeGrid<T>, faces: Range<usize>) {
         let offsets = &chunk.groups.offsets;
         let (begin, end) = (offsets[faces.start] as usize, offsets[faces.end] as usize);
         self.distance.resize(end - begin, T::default());
@@ -256,7 +272,7 @@ impl<T: Scalar> Batch<T> {
         }
     }
 
-    /// Sets points of one face beside its corners, from place `first` on.
+    /// Writes points of one face and its corners, from place `first` on.
     #[inline(always)]
     fn spread(&mut self, chunk: &Chunk<T>, face: usize, points: &[[T; 3]], first: usize) {
         let Chunk { tube, radii, .. } = chunk;
@@ -276,12 +292,12 @@ impl<T: Scalar> Batch<T> {
     }
 }
 
-/// The distance pass over a block.
+/// The distances of a block of points.
 #[inline(always)]
 fn measure_block<T: Scalar>(
     p: &[[T; BLOCK]; 3],
     corner: &[[T; BLOCK]; 3],
-    grid: &Grid<T>,
+    grid: &TubeGrid<T>,
     distances: &mut [T],
     tops: &mut [u8],
 ) {
@@ -307,13 +323,13 @@ impl<T: Scalar> pulp::NullaryFnOnce for Chunk<'_, T> {
     #[inline(always)]
     fn call(self) {
         let offsets = &self.groups.offsets;
-        let grid = Grid::new(self.tube);
+        let grid = TubeGrid::new(self.tube);
         let mut batch = Batch::new();
         let mut keys = Vec::new();
         let (mut to_bottom, mut to_top) = (Vec::new(), Vec::new());
         let mut face = self.faces.start;
         while face < self.faces.end {
-            // As many whole faces as fit a block, or one that does not.
+            // As many whole faces as fit into a block, or one larger face.
             let mut last = face + 1;
             while last < self.faces.end && (offsets[last + 1] - offsets[face]) as usize <= BLOCK {
                 last += 1;
@@ -329,8 +345,8 @@ impl<T: Scalar> pulp::NullaryFnOnce for Chunk<'_, T> {
                     to.push(batch.distance[i]);
                 }
                 taken += count;
-                self.bottom[f - self.faces.start] = filter(&to_bottom, self.filter, &mut keys);
-                self.top[f - self.faces.start] = filter(&to_top, self.filter, &mut keys);
+                self.bottom[f - self.faces.start] = statistic(&to_bottom, self.filter, &mut keys);
+                self.top[f - self.faces.start] = statistic(&to_top, self.filter, &mut keys);
             }
             face = last;
         }

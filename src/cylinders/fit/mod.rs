@@ -1,16 +1,19 @@
-//! The local fit: a cylinder mesh drawn to the wall points about one frame (thesis, section 3.2).
+//! The local fit: a cylinder mesh deformed to the wall points about one frame (M. M. Ainchil Cayuela, master
+//! thesis, UPC / KU Leuven, 2023, section 3.2; docs/method.md, "Local cylinder fit").
 //!
-//! A [`Track`] holds the frames; an [`Engine`] fits the cylinders that a [`Job`] asks for. Engines differ in
-//! where and in which precision they compute, not in what: [`passes`] are the method's steps.
+//! A [`Track`] holds the frames; an [`Engine`] fits the cylinders that a [`FitRequest`] names. Engines differ in
+//! the processor and the precision, not in the method: its steps are the [`passes`].
 
 mod auto;
 mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod groups;
 pub mod passes;
 
 pub use auto::AutoEngine;
 pub use cpu::CpuEngine;
+pub use groups::{Groups, group};
 
 use super::{Track, Tube};
 use crate::engine::EngineDescription;
@@ -23,23 +26,23 @@ use glam::DVec3;
 use passes::Section;
 use std::path::Path;
 
-/// What an engine is to do.
+/// The cylinders that an engine fits, and how.
 #[derive(Clone, Copy)]
-pub struct Job<'a> {
+pub struct FitRequest<'a> {
     /// Where the points come from.
     pub track: &'a Track,
-    /// The frames whose cylinders are wanted.
+    /// The frames whose cylinders are fitted.
     pub frames: &'a [usize],
     /// The settings, valid.
     pub settings: &'a Settings,
-    /// Whether the radii after every iteration are wanted, not only the last.
+    /// Whether to keep the radii after every iteration, not only after the last.
     pub history: bool,
-    /// Told the number of cylinders that have become ready since the last call.
+    /// Called with the number of cylinders finished since the last call.
     pub progress: &'a (dyn Fn(usize) + Sync),
 }
 
-impl<'a> Job<'a> {
-    /// A job without history that tells nobody of its progress.
+impl<'a> FitRequest<'a> {
+    /// A request without history that reports no progress.
     pub fn new(track: &'a Track, frames: &'a [usize], settings: &'a Settings) -> Self {
         Self { track, frames, settings, history: false, progress: &|_| () }
     }
@@ -51,10 +54,10 @@ pub fn merged_frames(frame_count: usize, settings: &Settings) -> Vec<usize> {
     (every - 1..frame_count).step_by(every).collect()
 }
 
-/// The engine that the settings ask for.
+/// The engine that the settings name.
 ///
 /// # Errors
-/// [`Error::Gpu`] where the settings insist on a device and there is none.
+/// [`Error::Gpu`] where the settings demand a device and there is none.
 pub fn engine(settings: &Settings) -> Result<Box<dyn Engine>> {
     Ok(match settings.backend {
         Backend::Auto => Box::new(AutoEngine::default()),
@@ -67,7 +70,7 @@ pub fn engine(settings: &Settings) -> Result<Box<dyn Engine>> {
     })
 }
 
-/// Fails where points or a radius that come from outside could not be computed with.
+/// Refuses points or a radius from outside that are not finite, or a radius that is not positive.
 fn check_section(section: &Section<f32>, radius_mm: f64) -> Result<()> {
     let fail = |field: &str, found: String, expected: &str| {
         Err(Error::input(Path::new("section"), field, found, expected))
@@ -87,17 +90,17 @@ fn check_section(section: &Section<f32>, radius_mm: f64) -> Result<()> {
     Ok(())
 }
 
-/// Something that fits cylinders.
+/// Fits cylinders.
 pub trait Engine: Send + Sync {
-    /// What it is: its name as on the command line, the adapter where there is one, and where it chose between
-    /// others, what it chose last and why.
+    /// Its name as on the command line, its adapter where it has one, and, for an engine that chooses between
+    /// others, its last choice and the reason.
     fn describe(&self) -> EngineDescription;
 
-    /// Fits the cylinders of a job, in the order of its frames.
+    /// Fits the cylinders of a request, in the order of its frames.
     ///
     /// # Errors
     /// Where a frame has no cylinder or no points in its section, and where the engine itself fails.
-    fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>>;
+    fn fit(&self, request: &FitRequest) -> Result<Vec<FittedCylinder>>;
 
     /// Fits one tube of that radius to points that already are in its coordinates and within its gate.
     ///

@@ -3,9 +3,9 @@
 use super::{DeviceRow, PassRow, RADIUS_MM, Times};
 use crate::Result;
 use crate::cylinders::Tube;
-use crate::cylinders::fit::Engine;
-use crate::cylinders::fit::gpu::{GpuEngine, PASSES, Workspace};
-use crate::cylinders::fit::passes::{Section, group};
+use crate::cylinders::fit::gpu::{FitWorkspace, GpuEngine, PASSES};
+use crate::cylinders::fit::passes::Section;
+use crate::cylinders::fit::{Engine, group};
 use crate::settings::Settings;
 use std::collections::BTreeMap;
 
@@ -93,7 +93,7 @@ impl Device {
     /// Device time of each pass over a fit.
     fn time_passes(
         &self,
-        workspace: &Workspace,
+        workspace: &FitWorkspace,
         section: &Section<f32>,
         settings: &Settings,
         repeats: usize,
@@ -138,11 +138,11 @@ struct Work {
 }
 
 impl Work {
-    fn of(workspace: &Workspace, section: &Section<f32>, settings: &Settings) -> Self {
-        let job = workspace.job();
+    fn of(workspace: &FitWorkspace, section: &Section<f32>, settings: &Settings) -> Self {
+        let job = workspace.parameters();
         let groups = group(section, &Tube::new(settings));
         let counts = groups.offsets.windows(2).map(|w| w[1] - w[0]);
-        let long: u64 = counts.filter(|&n| n > job.short_most).map(u64::from).sum();
+        let long: u64 = counts.filter(|&n| n > job.max_short).map(u64::from).sum();
         let points = section.len() as u64;
         Self {
             points,

@@ -1,22 +1,20 @@
-//! The fit on the device: WGSL passes, batched over many cylinders, one submit and one wait a batch.
+//! The fit on the device: WGSL passes, batched over many cylinders, with one submission and one wait per batch.
 //!
 //! Three layers: [`GpuEngine::fit`](super::Engine::fit) takes a track and returns cylinders;
-//! [`GpuEngine::prepare`] makes a [`Workspace`] whose points a host puts on the device itself;
+//! [`GpuEngine::prepare`] makes a [`FitWorkspace`] to which a host writes its points on the device;
 //! [`GpuEngine::record`] puts the passes into the host's command encoder.
 
-mod job;
 mod pass;
 mod stages;
 mod workspace;
 
-pub use job::{DeviceCylinder, DeviceJob, DevicePair};
 pub use pass::{Items, LANES, PASSES, Pass, Stage};
 pub use stages::CpuStages;
-pub use workspace::Workspace;
+pub use workspace::FitWorkspace;
 
 use super::cpu::residual_mm;
-use super::passes::Section;
-use super::{DeformedTube, Engine, EngineDescription, FittedCylinder, Job, check_section};
+use super::passes::{DeviceCylinder, DevicePair, Section};
+use super::{DeformedTube, Engine, EngineDescription, FitRequest, FittedCylinder, check_section};
 use crate::Result;
 use crate::cylinders::Tube;
 use crate::cylinders::track::empty_section;
@@ -57,8 +55,8 @@ impl GpuEngine {
     }
 
     /// The same engine, but [`fit`](Engine::fit) and [`fit_section`](Engine::fit_section) compute the first
-    /// stages on the CPU. Where a device gives another result than the CPU, the first stage that has to move to
-    /// the CPU for the results to agree is the one that diverges.
+    /// stages on the CPU. Where a device's result differs from the CPU's, the first stage that has to run on the
+    /// CPU for the results to agree is the one that diverges.
     #[must_use]
     pub fn with_cpu_stages(mut self, stages: CpuStages) -> Self {
         self.cpu_stages = stages;
@@ -93,26 +91,33 @@ impl GpuEngine {
         Ok(self.runner.warm_up()?)
     }
 
-    /// Device memory for a tube of that radius and so many points, which the host writes to
-    /// [`Workspace::section`].
+    /// Device memory for a tube of that radius and that many points, which the host writes to
+    /// [`FitWorkspace::section`].
     ///
     /// # Errors
-    /// Where settings are invalid, and [`Error::Gpu`](crate::Error::Gpu) where the job does not fit the device.
-    pub fn prepare(&self, points: u32, radius_mm: f64, settings: &Settings) -> Result<Workspace> {
+    /// Where settings are invalid, and [`Error::Gpu`](crate::Error::Gpu) where the tube does not fit the device.
+    pub fn prepare(&self, points: u32, radius_mm: f64, settings: &Settings) -> Result<FitWorkspace> {
         settings.validate()?;
         check_section(&Section::default(), radius_mm)?;
         let points = Points::Section { count: points };
-        Ok(Workspace::new(&self.runner.context, &self.runner.passes, settings, &[radius_mm], &points, false)?)
+        Ok(FitWorkspace::new(
+            &self.runner.context,
+            &self.runner.passes,
+            settings,
+            &[radius_mm],
+            &points,
+            false,
+        )?)
     }
 
     /// Records the whole fit of a workspace into a command encoder. Nothing is submitted.
     ///
-    /// Nothing is read back either, so that [`GpuError::Unfinished`] is not found out here: a host on a software
-    /// driver keeps its faces below a million points, or fits through [`Engine`].
+    /// Nothing is read back either, so that [`GpuError::Unfinished`] is not detected: a host on a software driver
+    /// keeps its faces below a million points, or fits through [`Engine`].
     ///
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses a pipeline.
-    pub fn record(&self, workspace: &Workspace, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+    pub fn record(&self, workspace: &FitWorkspace, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
         Ok(workspace.record(
             &self.runner.context,
             &self.runner.passes,
@@ -130,7 +135,7 @@ impl GpuEngine {
     /// As [`GpuEngine::record`].
     pub fn record_timed<'a>(
         &self,
-        workspace: &Workspace,
+        workspace: &FitWorkspace,
         encoder: &mut wgpu::CommandEncoder,
         timer: &mut (dyn FnMut(&'static str) -> Option<wgpu::ComputePassTimestampWrites<'a>> + 'a),
     ) -> Result<()> {
@@ -145,14 +150,14 @@ impl GpuEngine {
         )?)
     }
 
-    /// Device memory for the cylinders of a job, a workspace a batch, with the points on the device.
+    /// Device memory for the cylinders of a request, one workspace per batch, with the points on the device.
     ///
     /// # Errors
-    /// Where settings are invalid or a frame has no cylinder, and [`Error::Gpu`](crate::Error::Gpu) where the job does not fit the
-    /// device.
-    pub fn prepare_job(&self, job: &Job) -> Result<Vec<Workspace>> {
-        job.settings.validate()?;
-        self.batches(job)?.iter().map(|batch| self.workspace_of(job, batch)).collect()
+    /// Where settings are invalid or a frame has no cylinder, and [`Error::Gpu`](crate::Error::Gpu) where a cylinder does not fit
+    /// the device.
+    pub fn prepare_request(&self, request: &FitRequest) -> Result<Vec<FitWorkspace>> {
+        request.settings.validate()?;
+        self.batches(request)?.iter().map(|batch| self.workspace_of(request, batch)).collect()
     }
 
     /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back, so that a pass can be
@@ -164,7 +169,7 @@ impl GpuEngine {
     /// [`Error::Gpu`](crate::Error::Gpu) where there is no such pass or buffer, or the device fails.
     pub fn run_pass(
         &self,
-        workspace: &Workspace,
+        workspace: &FitWorkspace,
         pass: &str,
         inputs: &[(&str, &[u8])],
         outputs: &[&str],
@@ -180,7 +185,7 @@ impl GpuEngine {
     ///
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where the device fails.
-    pub(crate) fn run_resident(&self, workspace: &Workspace) -> Result<()> {
+    pub(crate) fn run_resident(&self, workspace: &FitWorkspace) -> Result<()> {
         let Runner { context, passes, .. } = &self.runner;
         self.run(workspace, &[], |encoder, timer| {
             workspace.record(context, passes, encoder, CpuStages::None, false, timer)
@@ -191,7 +196,7 @@ impl GpuEngine {
     /// Submits what `record` records and reads some of a workspace's buffers back, whole.
     fn run(
         &self,
-        workspace: &Workspace,
+        workspace: &FitWorkspace,
         names: &[&str],
         record: impl FnOnce(&mut wgpu::CommandEncoder, &mut Timer) -> Result<(), GpuError>,
     ) -> Result<Vec<Vec<u8>>, GpuError> {
@@ -199,10 +204,10 @@ impl GpuEngine {
         self.runner.run(workspace.bytes(), &buffers, record)
     }
 
-    /// Runs a workspace and takes its tubes apart; with the sections of its cylinders, after the CPU's stages.
+    /// Runs a workspace and reads its tubes back. With the sections of its cylinders, the CPU's stages run first.
     fn tubes(
         &self,
-        workspace: &Workspace,
+        workspace: &FitWorkspace,
         settings: &Settings,
         radii_mm: &[f64],
         history: bool,
@@ -212,11 +217,17 @@ impl GpuEngine {
             None => CpuStages::None,
             Some(_) => self.cpu_stages.up_to(settings.iterations),
         };
-        let begun = match sections {
+        let progress = match sections {
             None => Vec::new(),
-            Some(sections) => {
-                stages::begin(&self.runner.context, workspace, done, settings, radii_mm, history, sections)?
-            }
+            Some(sections) => stages::run_on_cpu(
+                &self.runner.context,
+                workspace,
+                done,
+                settings,
+                radii_mm,
+                history,
+                sections,
+            )?,
         };
         let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "long_faces", "history"];
         let names = if history { &names[..] } else { &names[..7] };
@@ -228,7 +239,7 @@ impl GpuEngine {
         let (radii, support, residuals) = (numbers(0), words(1), numbers(2));
         let (travels, tallies, gated) = (words(3), words(4), words(5));
         let history_radii = if history { numbers(7) } else { Vec::new() };
-        // Every long face, in every iteration of the device.
+        // Every long face must have been measured in every iteration of the device.
         let long_faces = words(6);
         let (listed, finished) = (long_faces[0], long_faces[long_faces.len() - 1]);
         let expected = listed.wrapping_mul(settings.iterations - done.iterations());
@@ -270,8 +281,8 @@ impl GpuEngine {
                 }
             })
             .collect();
-        for (tube, begun) in tubes.iter_mut().zip(begun) {
-            begun.enter_into(tube);
+        for (tube, progress) in tubes.iter_mut().zip(progress) {
+            progress.copy_into(tube);
         }
         Ok(tubes)
     }
@@ -279,7 +290,7 @@ impl GpuEngine {
 
 /// Cylinders that are fitted together, and their pairs with frames.
 struct Batch {
-    /// Places in the job's list of frames.
+    /// Places in the request's list of frames.
     members: Range<usize>,
     radii_mm: Vec<f64>,
     pairs: Vec<DevicePair>,
@@ -291,28 +302,28 @@ struct Batch {
 type Pairs = Vec<crate::cylinders::NearFrame>;
 
 impl GpuEngine {
-    /// Cuts a job into batches that fit the device.
-    fn batches(&self, job: &Job) -> Result<Vec<Batch>> {
-        let near: Vec<(f64, Pairs)> = job
+    /// Cuts a request into batches that fit the device.
+    fn batches(&self, request: &FitRequest) -> Result<Vec<Batch>> {
+        let near: Vec<(f64, Pairs)> = request
             .frames
             .par_iter()
             .map(|&frame| {
-                let radius_mm = job.track.cylinder(frame)?.radius_mm;
-                Ok((radius_mm, job.track.near(frame, job.settings)?.collect()))
+                let radius_mm = request.track.cylinder(frame)?.radius_mm;
+                Ok((radius_mm, request.track.near(frame, request.settings)?.collect()))
             })
             .collect::<Result<_>>()?;
         let limits = self.runner.context.device.limits();
-        let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        let tube = Tube::new(job.settings);
-        // What grows fastest with each of them: 12 bytes a slot, 24 a face, 4 a node for each iteration of the
-        // history, and what the pairs and their frames' points take.
-        let history = if job.history { 4 * (u64::from(job.settings.iterations) + 1) } else { 4 };
+        let max_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let tube = Tube::new(request.settings);
+        // The largest buffer of each kind: 12 bytes per slot, 24 per face, 4 per node and iteration of the
+        // history, and those of the pairs and their frames' points.
+        let history = if request.history { 4 * (u64::from(request.settings.iterations) + 1) } else { 4 };
         let fits = |slots: u64, cylinders: u64, pairs: usize, points: &Range<usize>| {
-            12 * slots <= most_bytes
-                && 24 * cylinders * tube.face_count() as u64 <= most_bytes
+            12 * slots <= max_bytes
+                && 24 * cylinders * tube.face_count() as u64 <= max_bytes
                 && history * cylinders * tube.node_count() as u64 <= limits.max_buffer_size
-                && (size_of::<DevicePair>() * pairs) as u64 <= most_bytes
-                && 8 * points.len() as u64 <= most_bytes
+                && (size_of::<DevicePair>() * pairs) as u64 <= max_bytes
+                && 8 * points.len() as u64 <= max_bytes
                 && cylinders <= 65_535
         };
         let span = |a: &Range<usize>, b: &Range<usize>| match (a.is_empty(), b.is_empty()) {
@@ -337,7 +348,7 @@ impl GpuEngine {
             let cylinder = batch.radii_mm.len() as u32;
             for pair in &pairs {
                 let (first, count) = (pair.echoes.start as u32, pair.echoes.len() as u32);
-                // Only a job that no device holds has 2³² slots; the workspace refuses it.
+                // A batch of 2³² slots fits no device; the workspace refuses it.
                 let slot = u32::try_from(slots).unwrap_or(u32::MAX);
                 batch.pairs.push(DevicePair::new(&pair.cylinder_from_probe, cylinder, first, count, slot));
                 slots += u64::from(count);
@@ -354,32 +365,37 @@ impl GpuEngine {
         Ok(batches)
     }
 
-    fn workspace_of(&self, job: &Job, batch: &Batch) -> Result<Workspace> {
-        let points: Vec<[f32; 2]> =
-            job.track.echoes_mm()[batch.points.clone()].iter().map(|p| [p.x as f32, p.y as f32]).collect();
+    fn workspace_of(&self, request: &FitRequest, batch: &Batch) -> Result<FitWorkspace> {
+        let points: Vec<[f32; 2]> = request.track.echoes_mm()[batch.points.clone()]
+            .iter()
+            .map(|p| [p.x as f32, p.y as f32])
+            .collect();
         let points = Points::Pairs { points: &points, pairs: &batch.pairs };
         let (context, passes) = (&self.runner.context, &self.runner.passes);
-        Ok(Workspace::new(context, passes, job.settings, &batch.radii_mm, &points, job.history)?)
+        Ok(FitWorkspace::new(context, passes, request.settings, &batch.radii_mm, &points, request.history)?)
     }
 
     /// The sections of a batch's cylinders, from the CPU.
-    fn sections(&self, job: &Job, batch: &Batch) -> Result<Vec<Section<f32>>> {
-        job.frames[batch.members.clone()].par_iter().map(|&k| job.track.section(k, job.settings)).collect()
+    fn sections(&self, request: &FitRequest, batch: &Batch) -> Result<Vec<Section<f32>>> {
+        request.frames[batch.members.clone()]
+            .par_iter()
+            .map(|&k| request.track.section(k, request.settings))
+            .collect()
     }
 
-    fn fit_batch(&self, job: &Job, batch: &Batch) -> Result<Vec<FittedCylinder>> {
-        let workspace = self.workspace_of(job, batch)?;
+    fn fit_batch(&self, request: &FitRequest, batch: &Batch) -> Result<Vec<FittedCylinder>> {
+        let workspace = self.workspace_of(request, batch)?;
         let sections = match self.cpu_stages {
             CpuStages::None => None,
-            _ => Some(self.sections(job, batch)?),
+            _ => Some(self.sections(request, batch)?),
         };
-        let (settings, radii_mm) = (job.settings, &batch.radii_mm);
-        let tubes = self.tubes(&workspace, settings, radii_mm, job.history, sections.as_deref())?;
-        let fitted = tubes.into_iter().zip(&job.frames[batch.members.clone()]).map(|(tube, &frame)| {
+        let (settings, radii_mm) = (request.settings, &batch.radii_mm);
+        let tubes = self.tubes(&workspace, settings, radii_mm, request.history, sections.as_deref())?;
+        let fitted = tubes.into_iter().zip(&request.frames[batch.members.clone()]).map(|(tube, &frame)| {
             if tube.points == 0 {
-                return Err(empty_section(frame, tube.radius_mm, tube.gated, job.settings));
+                return Err(empty_section(frame, tube.radius_mm, tube.gated, request.settings));
             }
-            let world_from_cylinder = job.track.cylinder(frame)?.world_from_cylinder;
+            let world_from_cylinder = request.track.cylinder(frame)?.world_from_cylinder;
             Ok(FittedCylinder { frame, world_from_cylinder, tube })
         });
         fitted.collect()
@@ -391,11 +407,11 @@ impl Engine for GpuEngine {
         EngineDescription { name: "gpu".into(), adapter: self.runner.describe(), why: None }
     }
 
-    fn fit(&self, job: &Job) -> Result<Vec<FittedCylinder>> {
-        let mut cylinders = Vec::with_capacity(job.frames.len());
-        for batch in self.batches(job)? {
-            cylinders.extend(self.fit_batch(job, &batch)?);
-            (job.progress)(batch.members.len());
+    fn fit(&self, request: &FitRequest) -> Result<Vec<FittedCylinder>> {
+        let mut cylinders = Vec::with_capacity(request.frames.len());
+        for batch in self.batches(request)? {
+            cylinders.extend(self.fit_batch(request, &batch)?);
+            (request.progress)(batch.members.len());
         }
         Ok(cylinders)
     }

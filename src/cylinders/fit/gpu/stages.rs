@@ -1,9 +1,9 @@
-//! The first stages of a fit on the CPU, to find the one in which a device diverges.
+//! The first stages of a fit on the CPU, to find the stage in which a device diverges.
 
-use super::Workspace;
+use super::FitWorkspace;
 use crate::cylinders::fit::DeformedTube;
 use crate::cylinders::fit::cpu::Deformation;
-use crate::cylinders::fit::passes::Section;
+use crate::cylinders::fit::passes::{NONE, Section};
 use crate::gpu::{Context, GpuError, checked};
 use crate::settings::Settings;
 
@@ -17,7 +17,7 @@ pub enum CpuStages {
     Project,
     /// Through `scatter`: the device gets points grouped by face.
     Group,
-    /// Through so many iterations: the device gets radii too. With all of them it is left with `support`.
+    /// Through so many iterations: the device gets radii too. After all of them only `support` is left to it.
     Iterations(u32),
 }
 
@@ -30,7 +30,7 @@ impl CpuStages {
         }
     }
 
-    /// The same stages of a fit that has so many iterations.
+    /// The same stages, with at most that many iterations.
     pub(super) fn up_to(self, iterations: u32) -> Self {
         match self {
             CpuStages::Iterations(count) => CpuStages::Iterations(count.min(iterations)),
@@ -39,15 +39,15 @@ impl CpuStages {
     }
 }
 
-/// What the CPU knows of a tube that the device does not.
-pub(super) struct Begun {
+/// The results of the CPU's iterations that the device does not compute again.
+pub(super) struct CpuProgress {
     travel_mm: Vec<f64>,
     history_mm: Vec<Vec<f64>>,
 }
 
-impl Begun {
-    /// Enters the CPU's iterations into a tube that the device finished.
-    pub(super) fn enter_into(self, tube: &mut DeformedTube) {
+impl CpuProgress {
+    /// Copies the CPU's iterations into a tube that the device finished.
+    pub(super) fn copy_into(self, tube: &mut DeformedTube) {
         for (of_device, of_cpu) in tube.travel_mm.iter_mut().zip(self.travel_mm) {
             *of_device = of_cpu;
         }
@@ -57,29 +57,29 @@ impl Begun {
     }
 }
 
-/// Runs the stages on the sections of a workspace's cylinders and puts what they give where the device's next
-/// pass looks for it.
-pub(super) fn begin(
+/// Runs the stages on the sections of a workspace's cylinders and writes their results to the buffers that the
+/// device's next pass reads.
+pub(super) fn run_on_cpu(
     context: &Context,
-    workspace: &Workspace,
+    workspace: &FitWorkspace,
     stages: CpuStages,
     settings: &Settings,
     radii_mm: &[f64],
     history: bool,
     sections: &[Section<f32>],
-) -> Result<Vec<Begun>, GpuError> {
+) -> Result<Vec<CpuProgress>, GpuError> {
     let write =
         |name: &str, bytes: &[u8]| checked(&context.device, name, || workspace.write(context, name, bytes));
     if stages == CpuStages::None {
         return Ok(Vec::new());
     }
-    // A section has no more points than its cylinder has slots: the rest of the slots stay without an owner.
+    // A section has no more points than its cylinder has slots: the other slots keep no owner.
     let rows = |s: &Section<f32>| (0..s.len()).map(|i| [s.r[i], s.theta[i], s.z[i]]).collect::<Vec<_>>();
     write("section", bytemuck::cast_slice(&sections.iter().flat_map(rows).collect::<Vec<_>>()))?;
     let gated: Vec<u32> = sections.iter().map(|s| s.gated as u32).collect();
     write("gated", bytemuck::cast_slice(&gated))?;
-    if workspace.job().single == 0 {
-        let mut owners = vec![u32::MAX; workspace.job().slots as usize];
+    if workspace.parameters().single == 0 {
+        let mut owners = vec![NONE; workspace.parameters().slots as usize];
         let cylinder_of_each = (0..).zip(sections).flat_map(|(c, s)| std::iter::repeat_n(c, s.len()));
         for (owner, cylinder) in owners.iter_mut().zip(cylinder_of_each) {
             *owner = cylinder;
@@ -90,7 +90,7 @@ pub(super) fn begin(
         return Ok(Vec::new());
     }
 
-    let mut begun = Vec::with_capacity(sections.len());
+    let mut progress = Vec::with_capacity(sections.len());
     let (mut offsets, mut points) = (vec![0_u32], Vec::new());
     let (mut radii, mut statistics) = (Vec::new(), Vec::new());
     for (section, &radius_mm) in sections.iter().zip(radii_mm) {
@@ -104,7 +104,7 @@ pub(super) fn begin(
         radii.extend_from_slice(&deformation.radii);
         statistics
             .extend(deformation.statistics.iter().map(|s| [s.value.to_bits(), s.kept, s.residual.to_bits()]));
-        begun.push(Begun { travel_mm: deformation.travel_mm, history_mm: deformation.history_mm });
+        progress.push(CpuProgress { travel_mm: deformation.travel_mm, history_mm: deformation.history_mm });
     }
     write("offsets", bytemuck::cast_slice(&offsets))?;
     write("grouped", bytemuck::cast_slice(&points))?;
@@ -112,5 +112,5 @@ pub(super) fn begin(
         write("radii", bytemuck::cast_slice(&radii))?;
         write("statistics", bytemuck::cast_slice(&statistics))?;
     }
-    Ok(begun)
+    Ok(progress)
 }

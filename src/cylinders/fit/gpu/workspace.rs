@@ -1,25 +1,26 @@
 //! The buffers of a batch and the recording of its passes.
 
 use super::pass::{Items, LANES, Pass, Stage};
-use super::{CpuStages, DeviceCylinder, DeviceJob, DevicePair, ReadyPass};
+use super::{CpuStages, ReadyPass};
+use crate::cylinders::fit::passes::{DeviceCylinder, DevicePair, FitParameters};
 use crate::gpu::{Buffers, Context, GpuError, Timer, dispatch_size};
 use crate::settings::Settings;
 use std::collections::BTreeMap;
 
-/// Where a batch's points come from.
+/// The source of a batch's points.
 pub(super) enum Points<'a> {
-    /// Points in their probes' planes and the pairs that bring them into tubes.
+    /// Points in their probes' planes, and the pairs whose transforms bring them into tubes.
     Pairs { points: &'a [[f32; 2]], pairs: &'a [DevicePair] },
-    /// So many points of one tube, in its coordinates, written to the section buffer by whoever records.
+    /// That many points of one tube, in its coordinates; the caller writes them to the section buffer.
     Section { count: u32 },
 }
 
 /// The device memory of a batch of cylinders that are fitted together.
 ///
-/// [`GpuEngine::record`](super::GpuEngine::record) puts the whole fit into a command encoder: nothing is submitted,
-/// waited for or read back behind the caller's back, and it can be recorded again for new points of the same number.
-pub struct Workspace {
-    job: DeviceJob,
+/// [`GpuEngine::record`](super::GpuEngine::record) puts the whole fit into a command encoder. It submits nothing, waits
+/// for nothing and reads nothing back, and it can record again for as many new points.
+pub struct FitWorkspace {
+    parameters: FitParameters,
     iterations: u32,
     lanes: u32,
     long_groups: u32,
@@ -29,26 +30,26 @@ pub struct Workspace {
     travel_stride: u64,
 }
 
-/// The name and the size in bytes of every buffer of a job.
+/// The name and the size in bytes of every buffer of a batch.
 pub(super) fn sizes(
-    job: &DeviceJob,
+    parameters: &FitParameters,
     points: usize,
     iterations: u32,
     history: bool,
     travel_stride: u64,
 ) -> Vec<(&'static str, u64)> {
     let [slots, faces, nodes, cylinders] = [
-        u64::from(job.slots),
-        u64::from(job.cylinders) * u64::from(job.faces),
-        u64::from(job.cylinders) * u64::from(job.node_count),
-        u64::from(job.cylinders),
+        u64::from(parameters.slots),
+        u64::from(parameters.cylinders) * u64::from(parameters.faces),
+        u64::from(parameters.cylinders) * u64::from(parameters.node_count),
+        u64::from(parameters.cylinders),
     ];
-    let paired = job.single == 0;
+    let paired = parameters.single == 0;
     vec![
-        ("job", size_of::<DeviceJob>() as u64),
+        ("parameters", size_of::<FitParameters>() as u64),
         ("cylinders", 16 * cylinders),
         ("points", 8 * points as u64),
-        ("pairs", size_of::<DevicePair>() as u64 * u64::from(job.pairs)),
+        ("pairs", size_of::<DevicePair>() as u64 * u64::from(parameters.pairs)),
         ("section", 12 * slots),
         ("owners", if paired { 4 * slots } else { 4 }),
         ("gated", 4 * cylinders),
@@ -57,9 +58,9 @@ pub(super) fn sizes(
         ("block_sums", 4 * faces.div_ceil(1024)),
         ("offsets", 4 * (faces + 1)),
         ("grouped", 12 * slots),
-        // Their number, the faces, and how many of them were measured to the end.
-        ("long_faces", 4 * (2 + slots / u64::from(job.short_most + 1))),
-        ("keys", if slots > u64::from(job.short_most) { 4 * slots } else { 4 }),
+        // Their number, the faces, and the number of those that were measured to the end.
+        ("long_faces", 4 * (2 + slots / u64::from(parameters.max_short + 1))),
+        ("keys", if slots > u64::from(parameters.max_short) { 4 * slots } else { 4 }),
         ("primitive", 4 * nodes),
         ("radii", 4 * nodes),
         ("statistics", 24 * faces),
@@ -78,17 +79,17 @@ pub(super) fn lanes(slots: u64, faces: u64) -> u32 {
     LANES.into_iter().find(|&l| u64::from(l) >= half).unwrap_or(LANES[LANES.len() - 1])
 }
 
-/// How many workgroups share the long faces, of which there are `long_most` at most: enough to fill a GPU, and
-/// on software, where a workgroup costs microseconds even if nothing is left for it to do, a few for each thread.
+/// The number of workgroups that share the long faces, of which there are at most `max_long`: enough to fill a GPU,
+/// and a few per thread on software, where even an idle workgroup costs microseconds.
 ///
-/// None gets more than 128 faces: llvmpipe ends an invocation's loops, without a word, after 65,535 rounds of
-/// all of them together, and a face takes about a hundred beside those over its points.
-fn long_groups(context: &Context, long_most: u64) -> u64 {
+/// No workgroup gets more than 128 faces: llvmpipe ends an invocation's loops, without an error, after 65,535 rounds
+/// in all, and a face takes about a hundred rounds besides those over its points.
+fn long_groups(context: &Context, max_long: u64) -> u64 {
     let groups = if context.is_software() { 2 * rayon::current_num_threads() as u64 } else { 1024 };
-    groups.max(long_most.div_ceil(128)).min(long_most)
+    groups.max(max_long.div_ceil(128)).min(max_long)
 }
 
-impl Workspace {
+impl FitWorkspace {
     pub(super) fn new(
         context: &Context,
         passes: &[ReadyPass],
@@ -113,11 +114,11 @@ impl Workspace {
             needed: 12 * slots,
             allowed: 12 * u64::from(u32::MAX),
         })?;
-        let job = DeviceJob::new(settings, cylinders, slot_count, pairs, lanes);
+        let parameters = FitParameters::new(settings, cylinders, slot_count, pairs, lanes);
         let limits = context.device.limits();
         let alignment = u64::from(limits.min_storage_buffer_offset_alignment);
         let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
-        let sizes = sizes(&job, point_count, settings.iterations, history, travel_stride);
+        let sizes = sizes(&parameters, point_count, settings.iterations, history, travel_stride);
         let buffers = Buffers::new(context, passes, &sizes)?;
 
         let mut bind_groups = BTreeMap::new();
@@ -139,21 +140,23 @@ impl Workspace {
             bind_groups.insert(name, groups);
         }
 
-        let long_most = slots / u64::from(job.short_most + 1);
+        let max_long = slots / u64::from(parameters.max_short + 1);
         let workspace = Self {
-            job,
+            parameters,
             iterations: settings.iterations,
             lanes,
-            long_groups: long_groups(context, long_most) as u32,
+            long_groups: long_groups(context, max_long) as u32,
             buffers,
             bind_groups,
             travel_stride,
         };
         let device_cylinders: Vec<DeviceCylinder> =
             radii_mm.iter().map(|&r| DeviceCylinder::new(settings, r)).collect();
-        let primitive: Vec<f32> =
-            radii_mm.iter().flat_map(|&r| std::iter::repeat_n(r as f32, job.node_count as usize)).collect();
-        workspace.write(context, "job", bytemuck::bytes_of(&job));
+        let primitive: Vec<f32> = radii_mm
+            .iter()
+            .flat_map(|&r| std::iter::repeat_n(r as f32, parameters.node_count as usize))
+            .collect();
+        workspace.write(context, "parameters", bytemuck::bytes_of(&parameters));
         workspace.write(context, "cylinders", bytemuck::cast_slice(&device_cylinders));
         workspace.write(context, "primitive", bytemuck::cast_slice(&primitive));
         if let Points::Pairs { points, pairs } = points {
@@ -177,14 +180,14 @@ impl Workspace {
         &self.buffers[name]
     }
 
-    /// Bytes that each iteration's travels take in their buffer.
+    /// Bytes per iteration in the buffer of travels.
     pub(super) fn travel_stride(&self) -> u64 {
         self.travel_stride
     }
 
-    /// What the passes know of the job.
-    pub fn job(&self) -> &DeviceJob {
-        &self.job
+    /// The uniform block of the passes.
+    pub fn parameters(&self) -> &FitParameters {
+        &self.parameters
     }
 
     /// Device memory of all buffers, bytes.
@@ -192,36 +195,36 @@ impl Workspace {
         self.buffers.bytes()
     }
 
-    /// r (mm), θ (rad) and z (mm) of each point, f32 ×3, where a host writes its points.
+    /// The buffer that a host writes its points to: r (mm), θ (rad) and z (mm) of each, f32 ×3.
     pub fn section(&self) -> &wgpu::Buffer {
         &self.buffers["section"]
     }
 
-    /// The nodes' radii, mm, f32, ring after ring: the result.
+    /// The buffer of the result: the nodes' radii, mm, f32, ring after ring.
     pub fn radii(&self) -> &wgpu::Buffer {
         &self.buffers["radii"]
     }
 
-    /// How many workgroups a pass needs: two dimensions and the cylinders.
+    /// The number of workgroups of a pass: two dimensions and the cylinders.
     fn groups(&self, pass: &Pass) -> [u32; 3] {
-        let (job, size) = (&self.job, pass.shader.workgroup_size);
-        let all_faces = job.cylinders * job.faces;
+        let (parameters, size) = (&self.parameters, pass.shader.workgroup_size);
+        let all_faces = parameters.cylinders * parameters.faces;
         let (count, layers) = match pass.items {
-            Items::Pairs => (job.pairs, 1),
-            Items::Slots => (job.slots.div_ceil(size), 1),
+            Items::Pairs => (parameters.pairs, 1),
+            Items::Slots => (parameters.slots.div_ceil(size), 1),
             Items::Blocks => (all_faces.div_ceil(1024), 1),
             Items::One => (1, 1),
             Items::AllFaces => (all_faces.div_ceil(size), 1),
-            Items::ShortFaces => (job.faces.div_ceil(size / self.lanes), job.cylinders),
+            Items::ShortFaces => (parameters.faces.div_ceil(size / self.lanes), parameters.cylinders),
             Items::LongFaces => (self.long_groups, 1),
-            Items::Faces => (job.faces.div_ceil(size), job.cylinders),
-            Items::Nodes => (job.node_count.div_ceil(size), job.cylinders),
+            Items::Faces => (parameters.faces.div_ceil(size), parameters.cylinders),
+            Items::Nodes => (parameters.node_count.div_ceil(size), parameters.cylinders),
         };
         let [x, y] = dispatch_size(count);
         [x, y, layers]
     }
 
-    /// Puts one pass into a compute pass; one without work is left out.
+    /// Puts one pass into a compute pass, unless it has no work.
     fn dispatch(
         &self,
         context: &Context,
@@ -242,7 +245,7 @@ impl Workspace {
         Ok(())
     }
 
-    /// Records one pass alone (`update` as of the first iteration), on what the buffers hold.
+    /// Records one pass alone on the contents of the buffers (`update` as in the first iteration).
     pub(super) fn record_one(
         &self,
         context: &Context,
@@ -252,8 +255,8 @@ impl Workspace {
         self.dispatch(context, ready, 0, &mut encoder.begin_compute_pass(&Default::default()))
     }
 
-    /// Records the fit behind the stages that ran on the CPU and whose results the buffers hold: grouping, all
-    /// iterations, support. With [`CpuStages::None`] the section buffer of a single tube must hold its points.
+    /// Records the stages that the CPU has not `done`: grouping, all iterations, support. The buffers hold the
+    /// CPU's results; with [`CpuStages::None`] the section buffer of a single tube must hold its points.
     pub(super) fn record(
         &self,
         context: &Context,
@@ -279,14 +282,14 @@ impl Workspace {
         }
         let keep = |encoder: &mut wgpu::CommandEncoder, iteration: u32| {
             if history {
-                let bytes = 4 * u64::from(self.job.cylinders) * u64::from(self.job.node_count);
+                let bytes = 4 * u64::from(self.parameters.cylinders) * u64::from(self.parameters.node_count);
                 let to = bytes * u64::from(iteration);
                 encoder.copy_buffer_to_buffer(self.radii(), 0, &self.buffers["history"], to, Some(bytes));
             }
         };
         keep(encoder, 0);
         let is_done = |stage: Stage| match stage {
-            Stage::Project => self.job.single == 1 || done >= CpuStages::Project,
+            Stage::Project => self.parameters.single == 1 || done >= CpuStages::Project,
             Stage::Group => done >= CpuStages::Group,
             _ => false,
         };

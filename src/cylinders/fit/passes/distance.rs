@@ -1,4 +1,4 @@
-//! Signed distance of a point to the nearer triangle of its face (method, section 4.1).
+//! Signed distance of a point to the nearer triangle of its face (docs/method.md, "Local cylinder fit").
 
 use crate::numerics::Scalar;
 
@@ -30,8 +30,8 @@ fn minus<T: Scalar>(p: Vector<T>, q: Vector<T>) -> Vector<T> {
     [p[0] - q[0], p[1] - q[1], p[2] - q[2]]
 }
 
-/// What decides in which Voronoi region of the triangle (0, b, c) a point p lies: products with b and c, and
-/// the areas opposite the corners, `n·((c-b)×(p-b))`, `n·(p×c)` and `n·(b×p)`, all times 2|n|.
+/// The quantities that decide in which Voronoi region of the triangle (0, b, c) a point p lies: products with b and
+/// c, and the areas opposite the corners, `n·((c-b)×(p-b))`, `n·(p×c)` and `n·(b×p)`, all times 2|n|.
 struct Products<T> {
     /// b·p, c·p.
     from_a: [T; 2],
@@ -47,15 +47,15 @@ struct Products<T> {
 ///
 /// Voronoi regions as in C. Ericson, *Real-Time Collision Detection*, 5.1.5, without branches: each region
 /// sets the weights as two numerators over one denominator. The areas are triple products, where the book has
-/// differences of products of dot products: equal by Lagrange's identity, but on the slivers of fine grids
-/// they keep the digits that f32 has.
+/// differences of products of dot products: equal by Lagrange's identity, but they preserve f32 precision on the
+/// slivers of fine grids.
 #[inline(always)]
 fn closest<T: Scalar>(products: &Products<T>) -> (T, T) {
     let Products { from_a: [d1, d2], from_b: [d3, d4], from_c: [d5, d6], areas: [area_a, area_b, area_c] } =
         *products;
     let zero = T::default();
 
-    // Inside, then the regions of the edges and corners, the book's first test last: the last that holds wins.
+    // The interior, then the edges and corners in the reverse of the book's order: the last test that holds wins.
     let (mut over_b, mut over_c, mut under) = (area_b, area_c, area_a + area_b + area_c);
     let (e, f) = (d4 - d3, d5 - d6);
     let on_bc = (area_a <= zero) & (e >= zero) & (f >= zero);
@@ -88,12 +88,12 @@ fn closest<T: Scalar>(products: &Products<T>) -> (T, T) {
 /// Signed distance of a point to the nearer triangle of its face, and whether that is the top one; a tie goes
 /// to bottom. The point is given as (r, θ, z) less the face's corner a.
 ///
-/// Both triangles see their shared edge (a, b') as (0, c) or (0, b) with the same expression
+/// Both triangles compute the closest point on their shared edge (a, b') by the same expression
 /// `t = (b'-a)·(p-a) / ((b'-a)·(p-a) - (b'-a)·(p-b'))`, so a point nearest to that edge is a tie to the bit.
-/// Which is nearer is read off `|p-q₁|² - |p-q₂|² = (q₂-q₁)·(2p-q₁-q₂)`, which does not cancel.
+/// The sign of `|p-q₁|² - |p-q₂|² = (q₂-q₁)·(2p-q₁-q₂)` decides which is nearer; the product does not cancel.
 ///
-/// The cross products are written out for these two triangles, each common factor once: a compiler that may
-/// turn `ab + ac` into `a(b + c)` finds nothing to turn, and the device agrees to the bit.
+/// The cross products are written out for these two triangles with common factors extracted, so that a compiler
+/// that may turn `ab + ac` into `a(b + c)` changes nothing, and the device agrees to the bit.
 #[inline(always)]
 pub fn distance<T: Scalar>(p: [T; 3], face: &Face<T>) -> (T, bool) {
     let zero = T::default();

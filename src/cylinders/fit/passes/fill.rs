@@ -1,12 +1,12 @@
-//! Values for triangles whose points say nothing (method, section 4.4).
+//! Values of triangles without kept points (docs/method.md, "Local cylinder fit").
 
 use super::TriangleStatistic;
 use crate::cylinders::Tube;
 use crate::numerics::Scalar;
 
-/// The value of every triangle: its own statistic's, or where nothing was kept the mean over its edge
-/// neighbours, empty bottom triangles first (an empty neighbour counts 0), then empty top ones (filled bottoms
-/// included). Bottom triangles first, then top ones, as [`Tube`] numbers them.
+/// The value of every triangle, mm: its own statistic's, or the mean over its edge neighbours where no distance was
+/// kept. Bottom triangles are filled first (an empty neighbour counts 0), then top ones (from filled bottom ones).
+/// The values are in the order in which [`Tube`] numbers its triangles: bottom ones, then top ones.
 pub fn fill<T: Scalar>(statistics: &[TriangleStatistic<T>], tube: &Tube, values: &mut Vec<T>) {
     let faces = tube.face_count();
     values.clear();

@@ -1,19 +1,35 @@
-//! The passes of a fit: plain functions over slices, one file each, generic over the number they compute in.
+//! The passes of a fit: plain functions over slices, generic over the number they compute in.
 //!
-//! A device pass has the same name and mirrors its statements.
+//! Each is the twin of the shader of the same file name in `shaders/cylinders/`, in the same order of floating-point
+//! operations.
 
+mod bin;
+mod classify;
 mod distance;
 mod fill;
 mod filter;
-mod group;
+mod measure_long;
+mod measure_short;
+mod parameters;
 mod project;
+mod scan_downsweep;
+mod scan_reduce;
+mod scan_spine;
+mod scatter;
 mod support;
 mod update;
 
+pub use bin::bin;
+pub use classify::classify;
 pub use distance::{Face, distance};
 pub use fill::fill;
-pub use filter::{Filter, TriangleStatistic, filter};
-pub use group::{Grid, Groups, group};
-pub use project::{Gate, Section, TubeTransform, project};
+pub use measure_long::measure_long;
+pub use measure_short::measure_short;
+pub use parameters::{DeviceCylinder, Filter, FitParameters, Gate, NONE, TriangleStatistic, TubeGrid};
+pub use project::{DevicePair, Section, TubeTransform, project};
+pub use scan_downsweep::scan_downsweep;
+pub use scan_reduce::scan_reduce;
+pub use scan_spine::scan_spine;
+pub use scatter::scatter;
 pub use support::support;
 pub use update::update;

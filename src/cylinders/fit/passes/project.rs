@@ -1,13 +1,14 @@
-//! Probe points to tube coordinates, and the gate (method, sections 1 and 3).
+//! Probe points to tube coordinates, and the gate (docs/method.md, "Local cylinder fit").
 
+use super::Gate;
 use crate::geometry::Pose;
 use crate::numerics::Scalar;
-use crate::settings::Settings;
+use bytemuck::{Pod, Zeroable};
 use glam::{DVec2, DVec3};
 
 /// From the probe's plane to the tube's Cartesian axes X, Y, Z: the transform `cylTi` of one pair of cylinder
-/// and frame, with the turn by -90° about y folded in (X = -qz, Y = qy, Z = qx). Formed in f64, because world
-/// coordinates of hundreds of mm would cost f32 its digits.
+/// and frame, including the turn by -90° about y (X = -qz, Y = qy, Z = qx). It is formed in f64, because f32
+/// would lose precision in world coordinates of hundreds of mm.
 #[derive(Debug, Clone, Copy)]
 pub struct TubeTransform<T> {
     /// Image of the probe's x axis.
@@ -30,25 +31,39 @@ impl<T: Scalar> TubeTransform<T> {
     }
 }
 
-/// Which points of a tube count: |z| up to half the height, r between two bounds, all in mm.
-#[derive(Debug, Clone, Copy)]
-pub struct Gate<T> {
-    /// H/2.
-    pub half_height: T,
-    /// Least radius.
-    pub low: T,
-    /// Greatest radius.
-    pub high: T,
+/// `Pair` of the shaders: the points of one frame and their transform into one cylinder.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct DevicePair {
+    /// Image of the probe's x axis on the tube's X, Y, Z.
+    pub x: [f32; 3],
+    /// Image of the probe's y axis.
+    pub y: [f32; 3],
+    /// Image of the probe's origin, mm.
+    pub origin: [f32; 3],
+    /// The cylinder in the batch.
+    pub cylinder: u32,
+    /// Its frame's first point.
+    pub first_point: u32,
+    /// Its frame's number of points.
+    pub count: u32,
+    /// Slot of its first point.
+    pub first_slot: u32,
+    /// Padding to a multiple of 16 bytes.
+    pub unused: [u32; 3],
 }
 
-impl<T: Scalar> Gate<T> {
-    /// The gate of a cylinder of that radius.
-    pub fn new(settings: &Settings, radius_mm: f64) -> Self {
-        Self {
-            half_height: T::from_f64(settings.height_mm / 2.0),
-            low: T::from_f64(settings.gate[0] * radius_mm),
-            high: T::from_f64(settings.gate[1] * radius_mm),
-        }
+impl DevicePair {
+    /// The pair of a cylinder and a frame with `count` points from `first_point` on.
+    pub fn new(
+        cylinder_from_probe: &Pose,
+        cylinder: u32,
+        first_point: u32,
+        count: u32,
+        first_slot: u32,
+    ) -> Self {
+        let TubeTransform { x, y, origin } = TubeTransform::<f32>::new(cylinder_from_probe);
+        Self { x, y, origin, cylinder, first_point, count, first_slot, unused: [0; 3] }
     }
 }
 
@@ -77,7 +92,7 @@ impl<T: Scalar> Section<T> {
     }
 }
 
-/// Appends to `section` those of a frame's points that pass the gate.
+/// Appends those of a frame's points that pass the gate to `section`.
 pub fn project<T: Scalar>(
     points_mm: &[DVec2],
     transform: &TubeTransform<T>,
@@ -91,13 +106,13 @@ pub fn project<T: Scalar>(
         let [xs, ys, zs, rs] = &mut block;
         for (i, p) in points.iter().enumerate() {
             let (px, py) = (T::from_f64(p.x), T::from_f64(p.y));
-            // The origin comes first: drivers move what is the same for all points of a frame inwards.
+            // The origin comes first: drivers move the part that all points of a frame share inwards.
             xs[i] = (o[0] + ex[0] * px) + ey[0] * py;
             ys[i] = (o[1] + ex[1] * px) + ey[1] * py;
             zs[i] = (o[2] + ex[2] * px) + ey[2] * py;
             rs[i] = (xs[i] * xs[i] + ys[i] * ys[i]).sqrt();
         }
-        // Pack what passes to the front, then spend the arc tangent on that alone.
+        // Pack the points that pass to the front, so that the arc tangent is computed for them alone.
         let mut kept = 0;
         for i in 0..points.len() {
             let (x, y, z, r) = (xs[i], ys[i], zs[i], rs[i]);

@@ -1,10 +1,11 @@
-//! How well each node is supported.
+//! The number of points that support each node, and their residual.
 
 use super::TriangleStatistic;
 use crate::cylinders::Tube;
 use crate::numerics::Scalar;
 
-/// Per node: how many points the triangles about it kept, and their mean |distance|, mm (0 without points).
+/// Per node: the number of points kept on the triangles that meet there, and their mean |distance|, mm (0 without
+/// points).
 pub fn support<T: Scalar>(statistics: &[TriangleStatistic<T>], tube: &Tube) -> (Vec<u32>, Vec<T>) {
     (0..tube.node_count())
         .map(|node| {

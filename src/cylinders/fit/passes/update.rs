@@ -1,4 +1,4 @@
-//! The nodes' move (method, section 4.5).
+//! The step of the nodes (docs/method.md, "Local cylinder fit").
 
 use super::Filter;
 use crate::cylinders::Tube;

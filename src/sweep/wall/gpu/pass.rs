@@ -54,7 +54,7 @@ const PARTIALS: &str = include_str!("../../../../shaders/sweep/common/partials.w
 const SUM: &str = include_str!("../../../../shaders/sweep/common/sum.wgsl");
 const HARTLEY_SECOND: &str = include_str!("../../../../shaders/sweep/common/hartley_second.wgsl");
 const DISPATCH: &str = include_str!("../../../../shaders/common/dispatch.wgsl");
-const EXACT: &str = include_str!("../../../../shaders/common/exact.wgsl");
+const SCALAR: &str = include_str!("../../../../shaders/common/scalar.wgsl");
 const SCAN: &str = include_str!("../../../../shaders/common/scan.wgsl");
 
 /// A row: name and, where it differs, `in` the file's; stage, items, workgroup size, common files and
@@ -80,15 +80,15 @@ pub static PASSES: [Pass; 20] = [
     ]),
     pass!("count_residuals", MedianDigit, EchoBlocks, 256, [], ["residuals": Read, "state": Read, "counts": Write]),
     pass!("pick_digit", MedianDigit, One, 256, [SCAN], ["counts": Write, "state": Write]),
-    pass!("accumulate", Equations, Echoes, 256, [WALL_RESIDUAL, EXACT], [
+    pass!("accumulate", Equations, Echoes, 256, [WALL_RESIDUAL, SCALAR], [
         "echoes": Read, "wall": Read, "shifts": Read, "sums_low": Write, "sums_high": Write,
     ]),
-    pass!("assemble", Equations, Nodes, 256, [BENDING, EXACT], [
+    pass!("assemble", Equations, Nodes, 256, [BENDING, SCALAR], [
         "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Write, "product": Write, "change": Write,
         "direction": Write,
     ]),
     pass!("weigh_rings", Equations, Rings, 256, [SUM], ["rows": Read, "ring_weights": Write]),
-    pass!("assemble_rhs", RightHandSide, Nodes, 256, [COUPLED, EXACT], [
+    pass!("assemble_rhs", RightHandSide, Nodes, 256, [COUPLED, SCALAR], [
         "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Read, "cg_residual": Write,
     ]),
     pass!("hartley_first_residual" in "hartley_first", Precondition, Nodes, 256, [], [

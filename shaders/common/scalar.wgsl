@@ -1,4 +1,4 @@
-// Sorting keys and exact sums. Twin: fit/passes/scalar.rs.
+// Sorting keys and exact sums. Twin: numerics/scalar.rs.
 
 // An unsigned integer that sorts like the number.
 fn key_of(x: f32) -> u32 {

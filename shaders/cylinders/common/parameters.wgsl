@@ -1,6 +1,6 @@
-// What every pass knows of the job. Rust twin: fit/gpu/job.rs; a test holds the two together.
+// What every pass knows of the fit. Twin: cylinders/fit/passes/parameters.rs; a test compares the layouts.
 
-struct Job {
+struct FitParameters {
     nodes: u32,
     levels: u32,
     faces: u32,
@@ -16,8 +16,8 @@ struct Job {
     faces_per_mm: f32,
     // 1: every slot belongs to cylinder 0 and passed the gate.
     single: u32,
-    // A face with more points than this is long.
-    short_most: u32,
+    // Largest number of points of a short face.
+    max_short: u32,
     pairs: u32,
 }
 
@@ -41,8 +41,3 @@ const OUTLIERS_DEVIATION: u32 = 1u;
 const OUTLIERS_NONE: u32 = 2u;
 const STATISTIC_MEAN: u32 = 0u;
 const STATISTIC_MEDIAN: u32 = 1u;
-
-// Workgroups are laid out in two dimensions, because one holds 65,535 at most; the third counts cylinders.
-fn workgroup_index(group: vec3u, groups: vec3u) -> u32 {
-    return group.y * groups.x + group.x;
-}

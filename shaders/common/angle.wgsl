@@ -1,5 +1,5 @@
-// The angle of (x, y) in [0, 2π); 0 at the origin. Twin: Scalar::angle of f32, statement by statement; the
-// coefficients come from there.
+// The angle of (x, y) in [0, 2π); 0 at the origin. Twin: numerics/angle.rs, which also supplies the
+// coefficients.
 
 fn angle(y: f32, x: f32) -> f32 {
     let ax = abs(x);
