@@ -2,6 +2,7 @@
 
 pub(crate) mod banded;
 pub(crate) mod cholesky;
+pub(crate) mod robust;
 mod scalar;
 
 #[cfg(feature = "gpu")]

@@ -31,7 +31,7 @@ pub enum LumenReport<'a> {
     /// By local cylinders.
     Cylinders(&'a Report),
     /// By one tube.
-    Sweep(&'a sweep::Report),
+    Sweep(&'a sweep::SweepReport),
 }
 
 impl Lumen {

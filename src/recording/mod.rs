@@ -1,12 +1,13 @@
 //! What the probe saw: frames with their poses and contours, and the files that hold them.
 
 mod cylinder;
+pub(crate) mod echo_error;
 mod formats;
 mod pullback;
 mod summary;
 
 pub use cylinder::CylinderModel;
-pub(crate) use cylinder::MOST_RADIUS_MM;
+pub(crate) use cylinder::MAX_RADIUS_MM;
 pub(crate) use formats::Table;
 pub use pullback::{Centreline, Pullback};
 pub use summary::{Defects, Example, Spread, Summary};
@@ -187,7 +188,7 @@ impl Frame {
         if let Some(c) = &self.cylinder {
             if !c.is_finite() {
                 add("cylinder", format!("{c:?}"), "five finite numbers");
-            } else if !(0.0 < c.radius_mm && c.radius_mm <= MOST_RADIUS_MM) {
+            } else if !(0.0 < c.radius_mm && c.radius_mm <= MAX_RADIUS_MM) {
                 add("cylinder radius", format!("{:?} mm", c.radius_mm), "more than 0 and at most 10000 mm");
             }
         }

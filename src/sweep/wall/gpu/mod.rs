@@ -10,10 +10,12 @@ use crate::Result;
 use crate::engine::EngineDescription;
 use crate::gpu::{AdapterDescription, Context, GpuError, Pipeline, checked};
 use crate::numerics::banded::Dissected;
-use crate::sweep::wall::echo::{self, OUT_OF_PLANE};
-use crate::sweep::wall::grid::{Ease, Grid, MOST_STEPS};
+use crate::recording::echo_error::OUT_OF_PLANE;
+use crate::sweep::prepare::{echo, grid::WallGrid};
+use crate::sweep::wall::bending::LocalSmoothness;
+use crate::sweep::wall::fit::{Reweighting, Solution, WallEngine};
 use crate::sweep::wall::passes::{Echo, Factors, Job, State};
-use crate::sweep::wall::{Drawn, Round, WallEngine};
+use crate::sweep::wall::solver::MAX_STEPS;
 use pass::{PRECONDITION, STEP};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -222,7 +224,7 @@ impl SweepEngine {
     /// A wall and echoes on the device.
     pub(in crate::sweep) fn wall<'a>(
         &'a self,
-        grid: &'a Grid,
+        grid: &'a WallGrid,
         echoes: &'a mut [echo::Echo],
         start_mm: f64,
     ) -> Result<OnDevice<'a>> {
@@ -242,7 +244,7 @@ impl SweepEngine {
 pub(in crate::sweep) struct OnDevice<'a> {
     engine: &'a SweepEngine,
     workspace: Workspace,
-    grid: &'a Grid,
+    grid: &'a WallGrid,
     echoes: &'a mut [echo::Echo],
     start_mm: f64,
 }
@@ -266,9 +268,9 @@ impl WallEngine for OnDevice<'_> {
         Ok(f64::from(miss_mm))
     }
 
-    fn draw(&mut self, round: &Round) -> Result<Drawn> {
+    fn solve(&mut self, round: &Reweighting) -> Result<Solution> {
         let (engine, context, grid) = (self.engine, &self.engine.context, self.grid);
-        let job = Job { gated: u32::from(!round.rough), ..*self.workspace.job() }
+        let job = Job { gated: u32::from(!round.warm_up), ..*self.workspace.job() }
             .with_noise(round.noise_mm)
             .with_smoothness(round.smoothness_mm2, grid.step_mm, grid.arc_mm);
         self.workspace.set_job(context, &job);
@@ -298,14 +300,14 @@ impl WallEngine for OnDevice<'_> {
             self.sum_of_partials(&[&["aim"], &PRECONDITION[..]].concat(), self.workspace.wave_groups())?;
         let enough = round.tolerance * round.tolerance * whole;
         self.workspace.set_job(context, &Job { enough: enough as f32, ..job });
-        let solver_steps = self.solve()?;
+        let solver_steps = self.conjugate_gradients()?;
 
         let count = grid.node_count();
         let travel_mm = self.sum_of_partials(&["move_wall"], count.div_ceil(256))? / count as f64;
         if !travel_mm.is_finite() {
             return Err(GpuError::Wrong { what: "travel of the nodes", found: travel_mm.to_string() }.into());
         }
-        Ok(Drawn { travel_mm, solver_steps })
+        Ok(Solution { travel_mm, solver_steps })
     }
 
     fn finish(self) -> Result<Vec<f64>> {
@@ -319,7 +321,7 @@ impl WallEngine for OnDevice<'_> {
             let shifts: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(shifts);
             let misses: Vec<f32> = bytemuck::pod_collect_to_vec(misses);
             for ((echo, shift), miss) in echoes.by_ref().take(count).zip(shifts).zip(misses) {
-                echo.set_way(shift.map(f64::from), f64::from(miss));
+                echo.set_residual(shift.map(f64::from), f64::from(miss));
             }
         }
         let wall: Vec<f32> = bytemuck::pod_collect_to_vec(&read[0]);
@@ -337,11 +339,11 @@ impl OnDevice<'_> {
     }
 
     /// Conjugate gradients, until the device says that it is near enough; returns the number of steps.
-    fn solve(&self) -> Result<usize> {
+    fn conjugate_gradients(&self) -> Result<usize> {
         let [state, residual, product] =
             ["state", "residual", "product"].map(|name| self.workspace.shared(name));
         let steps = [&PRECONDITION[..], &STEP].concat().repeat(STEPS_A_SUBMISSION);
-        for submission in 0..MOST_STEPS.div_ceil(STEPS_A_SUBMISSION) {
+        for submission in 0..MAX_STEPS.div_ceil(STEPS_A_SUBMISSION) {
             let read = self.engine.run(&self.workspace, &steps, &[state], |encoder| {
                 if submission == 0 {
                     // Where `assemble` has left it.
@@ -349,22 +351,22 @@ impl OnDevice<'_> {
                 }
             })?;
             let state: State = bytemuck::pod_read_unaligned(&read[0]);
-            if state.done != 0 || state.steps as usize >= MOST_STEPS {
+            if state.done != 0 || state.steps as usize >= MAX_STEPS {
                 return Ok(state.steps as usize);
             }
         }
-        Ok(MOST_STEPS)
+        Ok(MAX_STEPS)
     }
 }
 
 /// The preconditioner's systems, factored; `None` where the weights are no numbers.
-fn factors(grid: &Grid, job: &Job, ring_weights: Vec<f64>, smoothness_mm2: f64) -> Option<Factors> {
+fn factors(grid: &WallGrid, job: &Job, ring_weights: Vec<f64>, smoothness_mm2: f64) -> Option<Factors> {
     let weights = grid.even_weights(ring_weights);
     let (rings, frequencies) = (grid.rings, grid.nodes / 2 + 1);
     let systems: Vec<Dissected> = (0..frequencies)
         .into_par_iter()
         .map(|frequency| {
-            let system = grid.system(frequency, &weights, smoothness_mm2, &Ease::default());
+            let system = grid.system(frequency, &weights, smoothness_mm2, LocalSmoothness::EVEN);
             system.dissected(job.blocks as usize, job.block_rings as usize)
         })
         .collect::<Option<_>>()?;
@@ -374,7 +376,9 @@ fn factors(grid: &Grid, job: &Job, ring_weights: Vec<f64>, smoothness_mm2: f64) 
         plane.iter_mut().zip(&systems).for_each(|(factor, system)| *factor = system.rows[ring][part] as f32);
     });
     for (joint, row) in factors.joints.chunks_mut(frequencies).enumerate() {
-        row.iter_mut().zip(&systems).for_each(|(factors, s)| *factors = s.joints[joint].map(|x| x as f32));
+        row.iter_mut()
+            .zip(&systems)
+            .for_each(|(factors, s)| *factors = s.separators[joint].map(|x| x as f32));
     }
     Some(factors)
 }
@@ -382,8 +386,8 @@ fn factors(grid: &Grid, job: &Job, ring_weights: Vec<f64>, smoothness_mm2: f64) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sweep::wall::grid::Solver;
     use crate::sweep::wall::passes::{couple, eliminate, join_values, join_waves, part, substitute, waves};
+    use crate::sweep::wall::solver::Solver;
 
     /// Uneven weights, and rings before, amid and behind them without any.
     fn ring_weights(rings: usize) -> Vec<f64> {
@@ -395,7 +399,7 @@ mod tests {
     #[test]
     fn systems_in_blocks_have_the_solutions_of_whole_ones() {
         for (rings, nodes, smoothness) in [(9, 8, 1.0), (100, 9, 1e-3), (300, 24, 60.0), (301, 24, 60.0)] {
-            let grid = Grid::new(rings, nodes, 1.1, 4.0);
+            let grid = WallGrid::new(rings, nodes, 1.1, 4.0);
             let job = Job::new(rings as u32, nodes as u32, 4.0, 0.1);
             let factors = factors(&grid, &job, ring_weights(rings), smoothness).unwrap();
             let waves = waves(nodes as u32);
@@ -419,7 +423,7 @@ mod tests {
 
     #[test]
     fn weights_that_are_no_numbers_have_no_factors() {
-        let grid = Grid::new(100, 9, 1.1, 4.0);
+        let grid = WallGrid::new(100, 9, 1.1, 4.0);
         assert!(factors(&grid, &Job::new(100, 9, 4.0, 0.1), vec![f64::NAN; 100], 1.0).is_none());
     }
 }

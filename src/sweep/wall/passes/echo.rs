@@ -1,5 +1,5 @@
 //! The way of an echo to the wall, and what it says about the radii (`shaders/sweep/common/echo.wgsl`, `measure`,
-//! `accumulate`). In f64 this is `Echo::measure` of the CPU.
+//! `accumulate`). In f64 this is `ResidualModel::measure` of the CPU.
 
 use super::{Echo, Job};
 use crate::numerics::Scalar;
@@ -129,15 +129,18 @@ pub fn accumulate(job: &Job, echo: &Echo, wall: &[f32], shift: [f32; 2], sums: &
 #[cfg(all(test, feature = "gpu"))]
 mod tests {
     use super::*;
+    use crate::recording::echo_error::OUT_OF_PLANE;
     use crate::sweep::prepare::axis::Place;
-    use crate::sweep::wall::Wall;
-    use crate::sweep::wall::echo::{Echo as OnCpu, OUT_OF_PLANE};
-    use crate::sweep::wall::grid::{Equations, Grid};
+    use crate::sweep::prepare::echo::Echo as OnCpu;
+    use crate::sweep::prepare::grid::WallGrid;
+    use crate::sweep::wall::equations::Equations;
+    use crate::sweep::wall::fit::Wall;
+    use crate::sweep::wall::residual::gate;
     use glam::{DMat3, DVec3};
     use rand::{RngExt, SeedableRng};
     use std::f64::consts::TAU;
 
-    const GRID: Grid = Grid { rings: 40, nodes: 24, step_mm: 2.6, arc_mm: TAU * 10.0 / 24.0 };
+    const GRID: WallGrid = WallGrid { rings: 40, nodes: 24, step_mm: 2.6, arc_mm: TAU * 10.0 / 24.0 };
     const START_MM: f64 = 10.3;
     const NOISE_MM: f64 = 0.8;
 
@@ -186,13 +189,13 @@ mod tests {
             let mut on_other_triangles = 0;
             for (echo, shift) in echoes.iter_mut().zip(&mut shifts) {
                 let (miss, moved) = measure(&job, &echo.for_device(&GRID, START_MM), &wall, *shift);
-                let before = echo.foot();
-                echo.measure(on_cpu(&radii, NOISE_MM).held(&GRID), true);
+                let before = echo.projection();
+                on_cpu(&radii, NOISE_MM).residual_model(&GRID).measure(echo, true);
                 // A dozen roundings of some 4 mm.
-                if (f64::from(miss) - echo.miss_mm).abs() > 2e-5 {
+                if (f64::from(miss) - echo.residual_mm).abs() > 2e-5 {
                     on_other_triangles += 1;
                     let place = (before.0.fract() - before.1.rem_euclid(1.0)).abs();
-                    assert!(place.min(before.0.fract()) < 1e-5, "{round}: {miss} {}", echo.miss_mm);
+                    assert!(place.min(before.0.fract()) < 1e-5, "{round}: {miss} {}", echo.residual_mm);
                 }
                 *shift = moved;
             }
@@ -200,7 +203,7 @@ mod tests {
         }
         let apart = |(echo, shift): (&OnCpu, &[f32; 2])| {
             let device = echo.for_device(&GRID, START_MM);
-            let foot = echo.foot();
+            let foot = echo.projection();
             let ring = f64::from(device.ring) + f64::from(device.ring_part) + f64::from(shift[0]) - foot.0;
             let node = f64::from(device.node) + f64::from(device.node_part) + f64::from(shift[1]) - foot.1;
             ring.abs().max((node + 12.0).rem_euclid(24.0) - 12.0)
@@ -219,11 +222,11 @@ mod tests {
             let mut expected = Equations::over(&GRID, 0..GRID.rings);
             for mut echo in echoes.iter().copied() {
                 accumulate(&job, &echo.for_device(&GRID, START_MM), &wall, [0.0; 2], &mut sums);
-                let measured = echo.measure(on_cpu(&radii, NOISE_MM / 4.0).held(&GRID), false);
-                let miss = echo.miss_mm.abs();
-                if gated == 0 || miss <= crate::sweep::wall::echo::gate(NOISE_MM / 4.0, measured.wall_mm) {
-                    let robust = (crate::sweep::wall::HUBER * NOISE_MM / 4.0 / miss).min(1.0);
-                    let corners = GRID.corners(echo.foot().0, echo.foot().1);
+                let measured = on_cpu(&radii, NOISE_MM / 4.0).residual_model(&GRID).measure(&mut echo, false);
+                let miss = echo.residual_mm.abs();
+                if gated == 0 || miss <= gate(NOISE_MM / 4.0, measured.wall_mm) {
+                    let robust = (crate::numerics::robust::HUBER * NOISE_MM / 4.0 / miss).min(1.0);
+                    let corners = GRID.corners(echo.projection().0, echo.projection().1);
                     expected.add(&corners, robust * measured.weight, measured.radial_mm * 4.0 / NOISE_MM);
                 }
             }
