@@ -1,7 +1,10 @@
-//! Poses and the algebra of frames of reference.
+//! Poses, frames along curves, polylines, polygons and triangles.
 
+pub(crate) mod polygon;
+pub(crate) mod polyline;
 mod pose;
 mod transport;
+pub(crate) mod triangle;
 
 pub use pose::Pose;
 pub use transport::rotation_minimising_frames;

@@ -4,6 +4,8 @@
 //! the vessel's axis. So: the centres are gathered into clusters, the clusters joined where they touch, the longest of
 //! all shortest paths taken, and a penalised smooth curve drawn through the centres along it.
 
+use crate::geometry::polyline::station;
+pub(in crate::sweep) use crate::geometry::polyline::{lengths, resampled};
 use crate::numerics::banded::Pentadiagonal;
 use glam::DVec3;
 
@@ -116,34 +118,6 @@ fn shortest_paths(
     (distance, before)
 }
 
-/// Points of a polyline at equal steps of its length, about `step` apart, both ends among them.
-pub(in crate::sweep) fn resampled(curve: &[DVec3], step: f64) -> Vec<DVec3> {
-    let lengths = lengths(curve);
-    let total = lengths[lengths.len() - 1];
-    let count = ((total / step).ceil() as usize).max(2);
-    let mut segment = 0;
-    (0..=count)
-        .map(|i| {
-            let s = total * i as f64 / count as f64;
-            while segment + 2 < curve.len() && lengths[segment + 1] < s {
-                segment += 1;
-            }
-            let span = lengths[segment + 1] - lengths[segment];
-            let share = if span > 0.0 { (s - lengths[segment]) / span } else { 0.0 };
-            curve[segment].lerp(curve[segment + 1], share.clamp(0.0, 1.0))
-        })
-        .collect()
-}
-
-/// Length of a polyline up to each of its points.
-pub(in crate::sweep) fn lengths(curve: &[DVec3]) -> Vec<f64> {
-    let mut lengths = vec![0.0; curve.len()];
-    for i in 1..curve.len() {
-        lengths[i] = lengths[i - 1] + curve[i].distance(curve[i - 1]);
-    }
-    lengths
-}
-
 /// The curve c that minimises `Σ wᵢ|pᵢ - c(sᵢ)|² + λ Σ|c'' |²`, sᵢ being where the curve so far is nearest to centre pᵢ.
 ///
 /// Weights even out the time that the catheter spent at each place, and lower centres far off (Cauchy).
@@ -192,25 +166,6 @@ fn smoothed(curve: &[DVec3], centres: &[DVec3], radius: f64) -> Option<Vec<DVec3
         weights = misses.iter().map(|miss| (miss / scale).max(1.0).powi(-2)).collect();
     }
     Some(nodes_mm)
-}
-
-/// Where along a polyline a point is nearest; beyond its ends the end segments are prolonged.
-fn station(curve: &[DVec3], lengths: &[f64], point: DVec3) -> f64 {
-    let last = curve.len() - 2;
-    let (mut best, mut station) = (f64::INFINITY, 0.0);
-    for (k, pair) in curve.windows(2).enumerate() {
-        let along = pair[1] - pair[0];
-        let low = if k == 0 { f64::NEG_INFINITY } else { 0.0 };
-        let high = if k == last { f64::INFINITY } else { 1.0 };
-        let share =
-            ((point - pair[0]).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(low, high);
-        let distance = point.distance_squared(pair[0] + along * share);
-        if distance < best {
-            best = distance;
-            station = lengths[k] + share * along.length();
-        }
-    }
-    station
 }
 
 #[cfg(test)]
