@@ -5,6 +5,9 @@
 # adapter is found, Octave, and a Python environment with VTK under target/. Tests whose tool or data is still
 # missing say SKIPPED; with LUMENMESH_REQUIRE_GPU=1, LUMENMESH_REQUIRE_DATA=1 or LUMENMESH_REQUIRE_TOOLS=1 they
 # fail instead. LUMENMESH_SHARED names the folder of recordings and truth surfaces (default: ../shared).
+#
+#   scripts/test.sh             # everything that takes minutes
+#   scripts/test.sh --release   # before a release: also the tests that take long, which are ignored otherwise
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -52,8 +55,14 @@ run() {
 
 run cargo test --all-features
 run cargo test --all-features --bench distance --bench fit --bench live -- --test
-run cargo check --quiet --no-default-features
-run cargo check --quiet --no-default-features --features cli
+# Each feature builds alone, and the library without any.
+for features in "" cli gpu render; do
+  run cargo check --quiet --no-default-features --features "$features"
+done
+if [ "${1:-}" = --release ]; then
+  # The large sizes need an optimised build: about ten minutes on a software device.
+  run cargo test --release --all-features --test gpu -- --ignored --nocapture
+fi
 
 say "summary"
 grep -h '^SKIPPED' "$log" | sort -u || true

@@ -7,12 +7,13 @@ mod joint;
 
 use crate::geometry::Pose;
 use crate::recording::Frame;
+use crate::settings::SweepSettings;
 use crate::sweep::prepare::Prepared;
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::wall::engine::refit;
 use crate::sweep::wall::fit::Wall;
 use crate::sweep::wall::solver::Solver;
-use crate::{Error, Result, settings};
+use crate::{Error, Result};
 use glam::{DMat3, DQuat, DVec3};
 use joint::{BendingPrior, Joint, Motion, NoiseLevels, Offset, Twist, corrected, split};
 use serde::Serialize;
@@ -66,7 +67,7 @@ impl Tracker {
     /// are not positive definite.
     pub(in crate::sweep) fn correct(
         prepared: &Prepared,
-        settings: &settings::Sweep,
+        settings: &SweepSettings,
         echoes: &mut Vec<Echo>,
         wall: &mut Wall,
     ) -> Result<Option<Self>> {
