@@ -1,9 +1,10 @@
 //! One smooth vessel from all echoes: a tube swept along the estimated centreline, whose wall is found by penalised least
 //! squares (`docs/method.md`, sections "Axis" to "Live").
 //!
-//! Its input are contours and poses only. Data flow one way: `prepare` finds the axis from the contours and places the
-//! echoes about it, `wall` fits the wall, `tracker` corrects the poses where the settings ask for it, `support` computes
-//! what each node rests on, and `surface` makes triangles of the wall. `live` does the same frame by frame.
+//! It uses contours and poses only. The data pass through `prepare`, which finds the axis from the contours and places the
+//! echoes about it; `wall`, which fits the wall; `tracker`, which corrects the poses where the settings ask for it;
+//! `support`, which computes the standard errors of the nodes; and `surface`, which makes triangles of the wall. `live`
+//! does the same frame by frame.
 
 mod live;
 mod prepare;

@@ -368,14 +368,15 @@ impl PoseErrors {
     /// # Errors
     /// Where a frame's matrix is not positive definite.
     fn new(information: &[Matrix<6>], prior: &Twist) -> Result<Self> {
-        let factored = |information: &Matrix<6>| {
+        let with_prior = |information: &Matrix<6>| {
             let mut matrix = *information;
             (0..6).for_each(|i| matrix[i][i] += prior[i]);
-            cholesky(&matrix).ok_or(matrix)
+            matrix
         };
-        let factors: Vec<_> = information.par_iter().map(factored).collect();
+        let factors: Vec<_> = information.par_iter().map(|h| cholesky(&with_prior(h))).collect();
         let checked = factors.into_iter().enumerate().map(|(frame, factor)| {
-            factor.map_err(|matrix| {
+            factor.ok_or_else(|| {
+                let matrix = with_prior(&information[frame]);
                 let diagonal: Twist = std::array::from_fn(|i| matrix[i][i]);
                 Error::Frame {
                     frame,
