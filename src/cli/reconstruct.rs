@@ -103,8 +103,8 @@ pub(super) fn print_report(report: LumenReport) {
 }
 
 /// The report of a sweep for people.
-fn print_sweep(report: &sweep::Report) {
-    let sweep::Report { seconds, .. } = report;
+fn print_sweep(report: &sweep::SweepReport) {
+    let sweep::SweepReport { seconds, .. } = report;
     println!("method     sweep");
     print_engine(&report.engine, report.threads);
     print!("frames     {}", report.frames);

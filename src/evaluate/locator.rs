@@ -1,5 +1,6 @@
 //! The closest point of a surface.
 
+use crate::geometry::triangle::{Feature, closest_on_triangle};
 use crate::surface::Surface;
 use crate::{Error, Result};
 use glam::{DVec3, Vec3A};
@@ -27,14 +28,6 @@ pub struct Closest {
     pub triangle: u32,
     /// Whether it lies on an edge that belongs to one triangle only.
     pub on_rim: bool,
-}
-
-/// What part of a triangle a point is on: its inside, the edge that starts at corner k, or corner k.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Feature {
-    Face,
-    Edge(usize),
-    Corner(usize),
 }
 
 /// Finds the closest point of a surface, through parry's tree of bounding boxes over its triangles.
@@ -268,41 +261,6 @@ impl Boxes {
 fn squared_distance(node: &BvhNode, query: Vec3A) -> f32 {
     let (low, high) = (Vec3A::from(node.mins()), Vec3A::from(node.maxs()));
     (low - query).max(query - high).max(Vec3A::ZERO).length_squared()
-}
-
-/// By Voronoi regions (Ericson, *Real-Time Collision Detection*, 2005, 5.1.5), with areas from cross products: his faster
-/// ones from dot products go wrong in slivers, by as much as the width of one a hundred thousand times longer than wide.
-#[inline(always)] // A twentieth of the time of a search, which calls it from two places.
-fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> (DVec3, Feature) {
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return (a, Feature::Corner(0));
-    }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return (b, Feature::Corner(1));
-    }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return (c, Feature::Corner(2));
-    }
-    // Barycentric coordinates, but for a factor: the squared length of the normal.
-    let normal = ab.cross(ac);
-    let across = normal.cross(ap);
-    let (v, w, whole) = (ac.dot(across), -ab.dot(across), normal.length_squared());
-    if w <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        return (a + ab * (d1 / (d1 - d3)), Feature::Edge(0));
-    }
-    if v <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        return (a + ac * (d2 / (d2 - d6)), Feature::Edge(2));
-    }
-    if v + w >= whole && d4 >= d3 && d5 >= d6 {
-        return (b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6))), Feature::Edge(1));
-    }
-    (a + ab * (v / whole) + ac * (w / whole), Feature::Face)
 }
 
 /// The queries in the order of a Morton curve through their bounding box, a thousand cells a side.

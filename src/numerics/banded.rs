@@ -1,4 +1,4 @@
-//! Symmetric systems with five diagonals.
+//! Symmetric systems with five diagonals, as penalties on second differences make them.
 
 use std::ops::{AddAssign, Mul, Sub};
 
@@ -67,27 +67,27 @@ impl Pentadiagonal {
     }
 }
 
-/// `LDLᵀ` of a [`Pentadiagonal`] whose rows are cut into blocks: the insides of all blocks first, then the joints, which
-/// are the first two rows of every block but the first.
+/// `LDLᵀ` of a [`Pentadiagonal`] in the order of nested dissection: the rows are cut into blocks, whose interiors come
+/// first and whose separators come last. Separators are the first two rows of every block but the first.
 #[cfg(feature = "gpu")]
 #[derive(Debug, Clone)]
 pub(crate) struct Dissected {
-    /// Per row of an inside: 1/D and the factors of the next row, of the one behind it, and of the two joints of its
+    /// Per interior row: 1/D and the factors of the next row, of the one after that, and of the two separators of its
     /// block.
     pub rows: Vec<[f64; 5]>,
-    /// Per joint: 1/D and the factors of the three joints behind it.
-    pub joints: Vec<[f64; 4]>,
+    /// Per separator: 1/D and the factors of the next three separators.
+    pub separators: Vec<[f64; 4]>,
 }
 
 #[cfg(feature = "gpu")]
 impl Pentadiagonal {
-    /// `LDLᵀ` in `blocks` blocks of `block_rows` rows, at least four, the last with all that are left; `None` where the
-    /// matrix is not positive definite.
+    /// `LDLᵀ` in `blocks` blocks of `block_rows` rows (at least four); the last block has the remaining rows. `None`
+    /// where the matrix is not positive definite.
     pub(crate) fn dissected(mut self, blocks: usize, block_rows: usize) -> Option<Dissected> {
         let count = self.rows.len();
         let inverse = |d: f64| (d > 0.0 && d.is_finite()).then(|| d.recip());
         let mut rows = vec![[0.0; 5]; count];
-        // Per pair of joints: what couples its first and its second to the next pair.
+        // Per pair of separators: the couplings of its first and second row to the next pair.
         let mut fill = vec![[[0.0; 2]; 2]; blocks.saturating_sub(1)];
         for block in 0..blocks {
             let first = block * block_rows;
@@ -95,15 +95,15 @@ impl Pentadiagonal {
                 if block == 0 { 0 } else { first + 2 },
                 if block + 1 == blocks { count } else { first + block_rows },
             );
-            // Couplings of the rows to the block's two joints.
-            let mut to_joints = vec![[0.0; 2]; end - begin + 2];
+            // Couplings of the rows to the block's two separators.
+            let mut to_separators = vec![[0.0; 2]; end - begin + 2];
             if block > 0 {
-                to_joints[0] = [self.rows[first][2], self.rows[first + 1][1]];
-                to_joints[1][1] = self.rows[first + 1][2];
+                to_separators[0] = [self.rows[first][2], self.rows[first + 1][1]];
+                to_separators[1][1] = self.rows[first + 1][2];
             }
             for i in begin..end {
                 let [d, a, b] = self.rows[i];
-                let [u, v] = to_joints[i - begin];
+                let [u, v] = to_separators[i - begin];
                 let inverse = inverse(d)?;
                 let [next, next_but_one, w, z] = [a, b, u, v].map(|x| x * inverse);
                 rows[i] = [inverse, next, next_but_one, w, z];
@@ -115,8 +115,8 @@ impl Pentadiagonal {
                     row[0] -= next_but_one * b;
                 }
                 for (k, x) in [(1, a), (2, b)] {
-                    to_joints[i - begin + k][0] -= w * x;
-                    to_joints[i - begin + k][1] -= z * x;
+                    to_separators[i - begin + k][0] -= w * x;
+                    to_separators[i - begin + k][1] -= z * x;
                 }
                 if block > 0 {
                     self.rows[first][0] -= w * u;
@@ -125,37 +125,37 @@ impl Pentadiagonal {
                 }
             }
             if block > 0 && block + 1 < blocks {
-                let [p, q] = [to_joints[end - begin], to_joints[end - begin + 1]];
+                let [p, q] = [to_separators[end - begin], to_separators[end - begin + 1]];
                 fill[block - 1] = [[p[0], q[0]], [p[1], q[1]]];
             }
         }
-        // The joints couple to the next three.
-        let mut joints: Vec<[f64; 4]> = (1..blocks)
+        // A separator couples to the next three.
+        let mut separators: Vec<[f64; 4]> = (1..blocks)
             .flat_map(|block| {
                 let ([[d, a, _], [e, _, _]], [[p, q], [r, s]]) =
                     ([self.rows[block * block_rows], self.rows[block * block_rows + 1]], fill[block - 1]);
                 [[d, a, p, q], [e, r, s, 0.0]]
             })
             .collect();
-        for i in 0..joints.len() {
-            let [d, a, b, c] = joints[i];
+        for i in 0..separators.len() {
+            let [d, a, b, c] = separators[i];
             let inverse = inverse(d)?;
             let [l1, l2, l3] = [a, b, c].map(|x| x * inverse);
-            if let Some(row) = joints.get_mut(i + 1) {
+            if let Some(row) = separators.get_mut(i + 1) {
                 row[0] -= l1 * a;
                 row[1] -= l1 * b;
                 row[2] -= l1 * c;
             }
-            if let Some(row) = joints.get_mut(i + 2) {
+            if let Some(row) = separators.get_mut(i + 2) {
                 row[0] -= l2 * b;
                 row[1] -= l2 * c;
             }
-            if let Some(row) = joints.get_mut(i + 3) {
+            if let Some(row) = separators.get_mut(i + 3) {
                 row[0] -= l3 * c;
             }
-            joints[i] = [inverse, l1, l2, l3];
+            separators[i] = [inverse, l1, l2, l3];
         }
-        Some(Dissected { rows, joints })
+        Some(Dissected { rows, separators })
     }
 }
 

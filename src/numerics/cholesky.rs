@@ -1,9 +1,9 @@
-//! Symmetric positive definite systems of a handful of unknowns.
+//! Cholesky factors of small symmetric positive definite matrices.
 
 /// A square matrix, row by row.
 pub(crate) type Matrix<const N: usize> = [[f64; N]; N];
 
-/// The lower triangle `L` of `A = L Lᵀ`, of which the lower triangle is read; `None` where `A` is not positive
+/// The lower triangle `L` of `A = L Lᵀ`. Only the lower triangle of `A` is read; `None` where `A` is not positive
 /// definite.
 pub(crate) fn cholesky<const N: usize>(a: &Matrix<N>) -> Option<Matrix<N>> {
     let mut l = [[0.0; N]; N];
@@ -38,6 +38,19 @@ pub(crate) fn backward<const N: usize>(l: &Matrix<N>, mut b: [f64; N]) -> [f64; 
     b
 }
 
+/// Solves `L Lᵀ x = b`.
+pub(crate) fn solve<const N: usize>(l: &Matrix<N>, b: [f64; N]) -> [f64; N] {
+    backward(l, forward(l, b))
+}
+
+/// Column `i` of `(L Lᵀ)⁻¹`.
+pub(crate) fn inverse_column<const N: usize>(l: &Matrix<N>, i: usize) -> [f64; N] {
+    let mut unit = [0.0; N];
+    unit[i] = 1.0;
+    solve(l, unit)
+}
+
+/// The scalar product.
 pub(crate) fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
@@ -50,7 +63,7 @@ mod tests {
     fn a_system_is_solved() {
         let a = [[4.0, 0.0, 0.0], [2.0, 5.0, 0.0], [-1.0, 1.0, 3.0]];
         let l = cholesky(&a).unwrap();
-        let x = backward(&l, forward(&l, [5.0, 8.0, 3.0]));
+        let x = solve(&l, [5.0, 8.0, 3.0]);
         // By hand: the full matrix is [4 2 -1; 2 5 1; -1 1 3].
         assert!(x.iter().all(|x| (x - 1.0).abs() < 1e-12), "{x:?}");
     }

@@ -11,7 +11,7 @@ use crate::cylinders::{CylinderReconstruction, Engine, Report as CylindersReport
 use crate::recording::Recording;
 use crate::settings::{Method, Settings};
 use crate::surface::Surface;
-use crate::sweep::{Report as SweepReport, Sweep};
+use crate::sweep::{Sweep, SweepReport};
 use serde::Serialize;
 use std::sync::OnceLock;
 

@@ -1,11 +1,13 @@
+//! The local cylinder of a frame.
+
 use crate::geometry::Pose;
 use glam::{DMat3, DVec3};
 
-/// Beyond any vessel, and far enough within f32 that squares of lengths are too.
-pub(crate) const MOST_RADIUS_MM: f64 = 10_000.0;
+/// Larger than any vessel's radius, and small enough that squares of lengths stay within f32, mm.
+pub(crate) const MAX_RADIUS_MM: f64 = 10_000.0;
 
-/// A cylinder in the tracker sensor's frame `{e}`: where its axis meets the plane z = 0, which way the axis
-/// points, and how wide it is (thesis, Eq. 4).
+/// A cylinder in the tracker sensor's frame `{e}`: the point where its axis meets the plane z = 0, the direction of the
+/// axis, and the radius (thesis, Eq. 4).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CylinderModel {
     /// x of the axis in the plane z = 0 of `{e}`, mm.

@@ -1,17 +1,18 @@
 //! What the probe saw: frames with their poses and contours, and the files that hold them.
 
 mod cylinder;
+pub(crate) mod echo_error;
 mod formats;
 mod pullback;
 mod summary;
 
 pub use cylinder::CylinderModel;
-pub(crate) use cylinder::MOST_RADIUS_MM;
+pub(crate) use cylinder::MAX_RADIUS_MM;
 pub(crate) use formats::Table;
 pub use pullback::{Centreline, Pullback};
 pub use summary::{Defects, Example, Spread, Summary};
 
-use crate::geometry::Pose;
+use crate::geometry::{Pose, polygon};
 use crate::output::ending;
 use crate::{Error, Result};
 use glam::DVec2;
@@ -35,7 +36,7 @@ pub struct Frame {
 
 impl Frame {
     /// The wall points that are there: the contour without its missing echoes.
-    pub fn echoes_mm(&self) -> impl Iterator<Item = DVec2> + '_ {
+    pub fn echoes_mm(&self) -> impl Iterator<Item = DVec2> + Clone + '_ {
         self.contour_mm.iter().copied().filter(|p| !p.is_nan())
     }
 
@@ -51,16 +52,13 @@ impl Frame {
     /// formula gives can lie anywhere. Outside the echoes' bounding box their mean stands in.
     pub fn centroid_mm(&self) -> Option<DVec2> {
         let origin = self.echoes_mm().next()?;
-        // Taken about one of the points, so that a contour far from the origin loses no digits.
+        let (twice_area, moment) = polygon::twice_area_and_moment(self.echoes_mm());
         let points = || self.echoes_mm().map(move |p| p - origin);
-        let (mut twice_area, mut moment, mut extent) = (0.0, DVec2::ZERO, 0.0_f64);
+        let mut extent = 0.0_f64;
         let (mut low, mut high, mut sum) = (DVec2::ZERO, DVec2::ZERO, DVec2::ZERO);
-        for (a, b) in points().zip(points().skip(1).chain([DVec2::ZERO])) {
-            let cross = a.perp_dot(b);
-            twice_area += cross;
-            moment += (a + b) * cross;
-            extent = extent.max(a.length_squared());
-            (low, high, sum) = (low.min(a), high.max(a), sum + a);
+        for p in points() {
+            extent = extent.max(p.length_squared());
+            (low, high, sum) = (low.min(p), high.max(p), sum + p);
         }
         if twice_area.abs() <= 1e-9 * extent {
             return None;
@@ -187,7 +185,7 @@ impl Frame {
         if let Some(c) = &self.cylinder {
             if !c.is_finite() {
                 add("cylinder", format!("{c:?}"), "five finite numbers");
-            } else if !(0.0 < c.radius_mm && c.radius_mm <= MOST_RADIUS_MM) {
+            } else if !(0.0 < c.radius_mm && c.radius_mm <= MAX_RADIUS_MM) {
                 add("cylinder radius", format!("{:?} mm", c.radius_mm), "more than 0 and at most 10000 mm");
             }
         }

@@ -2,7 +2,7 @@
 
 use super::formats::Table;
 use super::{Frame, Recording};
-use crate::geometry::{Pose, rotation_minimising_frames};
+use crate::geometry::{Pose, polyline, rotation_minimising_frames};
 use crate::{Error, Result};
 use glam::{DVec2, DVec3};
 use std::collections::BTreeMap;
@@ -175,13 +175,7 @@ impl Centreline {
             let found = format!("{} different points", points.len());
             return Err(Error::input(path, "centreline", found, "at least 2"));
         }
-        let mut length_mm = 0.0;
-        let steps = points.iter().skip(1).zip(&points).map(|(b, a)| b.distance(*a));
-        let lengths = steps.map(|step| {
-            length_mm += step;
-            length_mm
-        });
-        let lengths_mm = std::iter::once(0.0).chain(lengths).collect();
+        let lengths_mm = polyline::lengths(&points);
         Ok(Self { name: path.to_owned(), points_mm: points, lengths_mm })
     }
 
@@ -192,10 +186,7 @@ impl Centreline {
 
     /// The point at an arc length from the start, mm; beyond an end, that end.
     pub fn point_mm(&self, length_mm: f64) -> DVec3 {
-        let after = self.lengths_mm.partition_point(|&l| l <= length_mm).clamp(1, self.points_mm.len() - 1);
-        let (from, to) = (self.lengths_mm[after - 1], self.lengths_mm[after]);
-        let share = ((length_mm - from) / (to - from)).clamp(0.0, 1.0);
-        self.points_mm[after - 1].lerp(self.points_mm[after], share)
+        polyline::point_at(&self.points_mm, &self.lengths_mm, length_mm)
     }
 
     /// Poses at rising arc lengths with z along the curve and as little roll as it allows.

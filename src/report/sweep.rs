@@ -4,9 +4,9 @@ use super::page::Page;
 use super::plot::{Line, Mark, Room, lines};
 use super::reconstruction::{engine_row, facts, share};
 use crate::Result;
-use crate::sweep::{Report, Sweep};
+use crate::sweep::{Sweep, SweepReport};
 
-pub(super) fn summary_rows(report: &Report) -> Vec<(&'static str, String)> {
+pub(super) fn summary_rows(report: &SweepReport) -> Vec<(&'static str, String)> {
     let seconds = &report.seconds;
     let milliseconds = (seconds.axis + seconds.place + seconds.fit + seconds.support) * 1e3;
     vec![

@@ -1,6 +1,6 @@
 //! A curve down the middle of a vessel's branch.
 
-use crate::geometry::{Pose, rotation_minimising_frames};
+use crate::geometry::{Pose, polyline, rotation_minimising_frames};
 use crate::output::write_atomically;
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
@@ -56,13 +56,8 @@ impl Centreline {
                 "points that move on",
             ));
         }
-        let mut arc_length_mm = Vec::with_capacity(points_mm.len());
-        arc_length_mm.push(0.0);
-        let mut length = 0.0;
-        for chord in &chords {
-            length += chord;
-            arc_length_mm.push(length);
-        }
+        let arc_length_mm = polyline::lengths(&points_mm);
+        let length = arc_length_mm[arc_length_mm.len() - 1];
         let mut line = Self {
             slopes: slopes(&points_mm, &chords),
             points_mm,

@@ -2,7 +2,7 @@
 
 use super::Surface;
 use crate::Result;
-use crate::geometry::Pose;
+use crate::geometry::{Pose, polygon};
 use glam::DVec2;
 use std::collections::BTreeMap;
 
@@ -106,14 +106,8 @@ impl Outline {
         self.points_mm.first().map_or(DVec2::NAN, |&origin| origin + moment / (3.0 * twice_area))
     }
 
-    /// Taken about the first point, so that an outline far from the origin loses no digits.
     fn twice_area_and_moment(&self) -> (f64, DVec2) {
-        let Some(&origin) = self.points_mm.first() else { return (0.0, DVec2::ZERO) };
-        self.edges().fold((0.0, DVec2::ZERO), |(twice_area, moment), (p, q)| {
-            let (p, q) = (p - origin, q - origin);
-            let cross = p.perp_dot(q);
-            (twice_area + cross, moment + (p + q) * cross)
-        })
+        polygon::twice_area_and_moment(self.points_mm.iter().copied())
     }
 
     /// Its length, mm.

@@ -1,37 +1,38 @@
-//! What every node rests on.
+//! The data that support each node of a wall, and the standard errors that follow from them.
 
-use super::median;
-use super::wall::Wall;
-use super::wall::echo::Echo;
-use super::wall::grid::Grid;
+use super::prepare::echo::Echo;
+use super::prepare::grid::WallGrid;
+use super::wall::fit::Wall;
+use super::wall::residual::is_inlier;
+use crate::numerics::robust::median;
 
-/// What the radius of every node rests on. All lists have one value per node.
+/// The data that support the radius of each node. All lists have one value per node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Support {
     /// Echoes nearer to the node than to the two others of their triangle; with a half-life, their weight.
     pub echoes: Vec<u32>,
-    /// Root mean square distance to the wall of the echoes about the node, mm; NaN without any.
+    /// Root mean square residual of the echoes about the node, mm; NaN without any.
     pub residual_mm: Vec<f64>,
-    /// Standard error of the radius, mm; infinite without echoes about.
+    /// Standard error of the radius, mm; infinite without echoes about the node.
     pub standard_error_mm: Vec<f64>,
-    /// The last frame that saw the wall there.
+    /// The last frame with an echo of the wall there.
     pub last_frame: Vec<Option<u32>>,
-    /// Whether the wall there was measured rather than made up: the standard error is at most 1 % of the lumen's
+    /// Whether the wall there was measured rather than extrapolated: the standard error is at most 1 % of the lumen's
     /// radius or twice its median, and no branch opens there.
     pub supported: Vec<bool>,
 }
 
 /// Largest standard error of a supported node, in lumen radii …
-const LARGEST_ERROR_RADII: f64 = 0.01;
-/// … or, where that is more, in medians: a noisy recording is no reason to cut most of the vessel.
-const LARGEST_ERROR_MEDIANS: f64 = 2.0;
-/// Most of the echoes about a node that may lie off the wall: with more it is the mouth of a branch.
-const MOST_OFF_WALL: f64 = 0.5;
-/// Farthest that echoes count as being about a node, as a share of the way round.
-const FARTHEST_REACH: f64 = 0.05;
+const MAX_ERROR_RADII: f64 = 0.01;
+/// … or, where that is more, in medians: noise must not cut away most of a vessel.
+const MAX_ERROR_MEDIANS: f64 = 2.0;
+/// Largest share of the echoes about a node that may lie off the wall: with more it is the mouth of a branch.
+const MAX_OFF_WALL: f64 = 0.5;
+/// Largest distance of echoes that count as being about a node, as a share of the circumference.
+const MAX_REACH: f64 = 0.05;
 
 impl Support {
-    /// Of no nodes.
+    /// The support of no nodes.
     pub(super) fn none() -> Self {
         Self {
             echoes: Vec::new(),
@@ -42,7 +43,7 @@ impl Support {
         }
     }
 
-    /// Makes room for nodes that rest on nothing.
+    /// Inserts nodes without support.
     pub(super) fn insert(&mut self, at: usize, count: usize) {
         use std::iter::repeat_n;
         self.echoes.splice(at..at, repeat_n(0, count));
@@ -52,50 +53,51 @@ impl Support {
         self.supported.splice(at..at, repeat_n(false, count));
     }
 
-    pub(super) fn of(grid: &Grid, echoes: &[Echo], wall: &Wall) -> Self {
+    /// The support of a wall's nodes by echoes with their projections on it.
+    pub(super) fn of(grid: &WallGrid, echoes: &[Echo], wall: &Wall) -> Self {
         let mut tally = Tally::new(grid.node_count());
         for echo in echoes {
-            let (ring, node) = echo.foot();
+            let (ring, node) = echo.projection();
             let node = grid.corners(ring, node).nearest();
-            let squares_mm2 = echo.weight * echo.miss_mm * echo.miss_mm;
-            tally.add(node, echo.is_inlier(wall.noise_mm), echo.weight, squares_mm2, echo.frame);
+            let squares_mm2 = echo.weight * echo.residual_mm * echo.residual_mm;
+            tally.add(node, is_inlier(echo, wall.noise_mm), echo.weight, squares_mm2, echo.frame);
         }
         let density = median(&mut tally.own().filter(|&n| n > 0.0).collect::<Vec<_>>()) / grid.cell_mm2();
-        let weighed = tally.weighed(grid, density, wall.smoothness_mm2);
+        let statistics = tally.statistics(grid, density, wall.smoothness_mm2);
         let mut errors: Vec<f64> =
-            weighed.standard_error_mm.iter().copied().filter(|e| e.is_finite()).collect();
-        let largest = largest_error_mm(median(&mut errors), grid);
+            statistics.standard_error_mm.iter().copied().filter(|e| e.is_finite()).collect();
+        let max_mm = max_error_mm(median(&mut errors), grid);
         Self {
             echoes: tally.own().map(|n| n as u32).collect(),
             supported: (0..grid.node_count())
-                .map(|node| weighed.standard_error_mm[node] <= largest && !weighed.is_mouth[node])
+                .map(|node| statistics.standard_error_mm[node] <= max_mm && !statistics.is_mouth[node])
                 .collect(),
-            residual_mm: weighed.residual_mm,
-            standard_error_mm: weighed.standard_error_mm,
+            residual_mm: statistics.residual_mm,
+            standard_error_mm: statistics.standard_error_mm,
             last_frame: tally.last_frame,
         }
     }
 }
 
 /// The largest standard error of a supported node, mm, where the median is `median_mm`.
-pub(super) fn largest_error_mm(median_mm: f64, grid: &Grid) -> f64 {
-    (LARGEST_ERROR_MEDIANS * median_mm).max(LARGEST_ERROR_RADII * grid.radius_mm())
+pub(super) fn max_error_mm(median_mm: f64, grid: &WallGrid) -> f64 {
+    (MAX_ERROR_MEDIANS * median_mm).max(MAX_ERROR_RADII * grid.radius_mm())
 }
 
-/// The echoes of a grid as they fall to its nodes.
+/// Sums over the echoes nearest to each node of a grid.
 #[derive(Debug, Clone)]
 pub(super) struct Tally {
-    /// Per node: weight of the echoes on the wall, of those off it, and the former's squared misses, mm².
+    /// Per node: weight of the echoes on the wall, of those off it, and the former's squared residuals, mm².
     sums: Vec<[f64; 3]>,
-    /// The last frame that saw the wall there.
+    /// The last frame with an echo of the wall there.
     pub(super) last_frame: Vec<Option<u32>>,
 }
 
-/// What a [`Tally`] says about each node.
-pub(super) struct Weighed {
+/// Statistics of a [`Tally`] for each node.
+pub(super) struct NodeStatistics {
     pub residual_mm: Vec<f64>,
     pub standard_error_mm: Vec<f64>,
-    /// Whether most echoes about lie off the wall.
+    /// Whether most echoes about the node lie off the wall.
     pub is_mouth: Vec<bool>,
 }
 
@@ -104,7 +106,7 @@ impl Tally {
         Self { sums: vec![[0.0; 3]; nodes], last_frame: vec![None; nodes] }
     }
 
-    /// Adds echoes of some weight whose squared misses, times weight, sum to `squares_mm2`.
+    /// Adds echoes of some weight whose squared residuals, times weight, sum to `squares_mm2`.
     pub(super) fn add(&mut self, node: usize, on_wall: bool, weight: f64, squares_mm2: f64, frame: u32) {
         let [own, off_wall, squares] = &mut self.sums[node];
         if on_wall {
@@ -116,7 +118,7 @@ impl Tally {
         }
     }
 
-    /// Adds what fell to nodes of another list: its node `theirs` is `mine` here, and so on.
+    /// Adds another tally, whose node `theirs` is node `mine` here, and so on.
     pub(super) fn merge(&mut self, mine: usize, other: &Self, theirs: usize) {
         for (sums, others) in self.sums.iter_mut().skip(mine).zip(other.sums.iter().skip(theirs)) {
             sums.iter_mut().zip(others).for_each(|(a, b)| *a += b);
@@ -126,7 +128,7 @@ impl Tally {
         }
     }
 
-    /// Weighs all echoes anew.
+    /// Multiplies the weights of all echoes.
     pub(super) fn scale(&mut self, factor: f64) {
         self.sums.as_flattened_mut().iter_mut().for_each(|x| *x *= factor);
     }
@@ -136,14 +138,14 @@ impl Tally {
         self.sums.iter().map(|sums| sums[0])
     }
 
-    /// Weighs what every node rests on, where there are `density` echoes a mm² in the median.
-    pub(super) fn weighed(&self, grid: &Grid, density: f64, smoothness_mm2: f64) -> Weighed {
+    /// Statistics of every node, where the median density is `density` echoes per mm².
+    pub(super) fn statistics(&self, grid: &WallGrid, density: f64, smoothness_mm2: f64) -> NodeStatistics {
         let count = grid.node_count();
-        // Bending spreads the pull of an echo over ℓ = (λ/ρ)^¼, ρ being echoes per area.
+        // The bending term spreads the effect of an echo over ℓ = (λ/ρ)^¼, ρ being echoes per area.
         let reach_mm = (smoothness_mm2 / density.max(f64::MIN_POSITIVE)).powf(0.25);
-        let farthest_mm = FARTHEST_REACH * std::f64::consts::TAU * grid.radius_mm();
+        let max_reach_mm = MAX_REACH * std::f64::consts::TAU * grid.radius_mm();
         let reach = [grid.step_mm, grid.arc_mm]
-            .map(|spacing| 1.max((reach_mm.min(farthest_mm) / spacing).round() as usize));
+            .map(|spacing| 1.max((reach_mm.min(max_reach_mm) / spacing).round() as usize));
         let window = reach.iter().map(|&reach| 2.0 * reach as f64 + 1.0).product::<f64>();
         let window_mm2 = window * grid.cell_mm2();
 
@@ -156,21 +158,21 @@ impl Tally {
             if about.sums[node] == 0.0 {
                 return f64::INFINITY;
             }
-            // Of a thin plate on evenly spread points: σ² / (8 √(λρ)).
+            // The variance of a thin plate on evenly spread points: σ² / (8 √(λρ)).
             let plate = variance(node) / (8.0 * (smoothness_mm2 * about.sums[node] / window_mm2).sqrt());
             (plate * about.leverage(node)).sqrt()
         };
-        Weighed {
+        NodeStatistics {
             residual_mm: (0..count).map(|node| variance(node).sqrt()).collect(),
             standard_error_mm: (0..count).map(standard_error).collect(),
             is_mouth: (0..count)
-                .map(|node| off_wall[node] / (off_wall[node] + about.sums[node]) > MOST_OFF_WALL)
+                .map(|node| off_wall[node] / (off_wall[node] + about.sums[node]) > MAX_OFF_WALL)
                 .collect(),
         }
     }
 }
 
-/// How a value per node is spread about each node, within a window; offsets in nodes.
+/// Moments of a value per node within a window about each node; offsets in nodes.
 struct Moments {
     sums: Vec<f64>,
     /// First and second moments along the axis and about it.
@@ -180,7 +182,7 @@ struct Moments {
 
 impl Moments {
     /// Over the nodes at most `reach` rings and nodes away.
-    fn about(grid: &Grid, values: &[f64], [rings_away, nodes_away]: [usize; 2]) -> Self {
+    fn about(grid: &WallGrid, values: &[f64], [rings_away, nodes_away]: [usize; 2]) -> Self {
         let (rings, nodes) = (grid.rings, grid.nodes);
         let mut columns = vec![[0.0; 3]; values.len()];
         for k in 0..rings {
@@ -215,16 +217,16 @@ impl Moments {
         moments
     }
 
-    /// By how much the variance of a plane through the echoes is larger at the node than in their middle: 1 amid
-    /// echoes, 4 at a straight edge of them, more beyond it.
+    /// The variance of a plane through the echoes at the node, relative to that at their centre: 1 among echoes, 4 at a
+    /// straight edge of them, more beyond it.
     fn leverage(&self, node: usize) -> f64 {
         let sum = self.sums[node];
-        // Within its cell an echo may be anywhere.
+        // The variance of an echo's place within its cell.
         let cell = 1.0 / 12.0;
-        let pull = |[first, second]: [f64; 2]| {
+        let offset = |[first, second]: [f64; 2]| {
             let mean = first / sum;
             mean * mean / (second / sum - mean * mean + cell)
         };
-        1.0 + pull(self.along[node]) + pull(self.around[node])
+        1.0 + offset(self.along[node]) + offset(self.around[node])
     }
 }

@@ -1,14 +1,14 @@
 //! The local estimates of the cylinders, against simulated vessels and against the models that an external tool put
 //! into two recordings.
 
-use crate::support::shared;
+use crate::support::{shared, vessel};
 use glam::{DVec2, DVec3};
 use lumenmesh::cylinders::Track;
 use lumenmesh::cylinders::estimate::{CylinderEstimator, LocalEstimate, UnscentedFilter, WindowFit};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Centreline, CylinderModel, Frame, Recording};
 use lumenmesh::settings::Settings;
-use lumenmesh::simulate::{self, Insertion, Move, Noise, Phantom, Shape, Simulation, Vessel};
+use lumenmesh::simulate::{self, Insertion, Move, Noise, Simulation, Vessel};
 use std::f64::consts::TAU;
 
 fn median(mut numbers: Vec<f64>) -> f64 {
@@ -195,10 +195,9 @@ fn error_of(frame: &Frame, model: &CylinderModel, truth: &LocalTruth) -> [f64; 3
 }
 
 fn simulated(shape: &str, insertion: &Insertion, noise: &Noise) -> Simulation {
-    let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
     let settings =
         simulate::Settings { insertion: insertion.clone(), noise: noise.clone(), ..Default::default() };
-    Simulation::run(vessel, &settings).unwrap()
+    vessel::simulated(shape, &settings)
 }
 
 /// In and out again, with a rest at the far end.
@@ -215,7 +214,7 @@ fn wrong_echoes() -> Noise {
     Noise { dropout_probability: 0.2, spike_probability: 0.05, ..Noise::default() }
 }
 
-const MOST: [f64; 3] = [0.5, 4.0, 3.0];
+const MAX: [f64; 3] = [0.5, 4.0, 3.0];
 
 /// The thesis's noise, 1 mm, 0.3 mm and 0.5 degrees, and bent tips that turn; both estimators, so that they can be
 /// compared (`--nocapture`).
@@ -248,7 +247,7 @@ fn cylinders_are_found_in_simulated_vessels() {
                 "{shape:12} {name}: centre {:.2} mm, axis {:.1} degrees, radius {:.2} %",
                 found[0], found[1], found[2]
             );
-            assert!((0..3).all(|i| found[i] <= MOST[i]), "{shape} {name}: {found:?}, at most {MOST:?}");
+            assert!((0..3).all(|i| found[i] <= MAX[i]), "{shape} {name}: {found:?}, at most {MAX:?}");
         }
     }
 }
@@ -275,7 +274,7 @@ fn a_wrong_cylinder_is_seen_as_wrong() {
     ];
     for (i, off) in off.into_iter().enumerate() {
         let found = errors(&simulation, 0, &mut Off(off, WindowFit::default())).map(median);
-        assert!(found[i] > MOST[i], "{off:?}: {found:?}");
+        assert!(found[i] > MAX[i], "{off:?}: {found:?}");
     }
 }
 

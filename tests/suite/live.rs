@@ -1,14 +1,15 @@
-//! A vessel that grows frame by frame must come to what the whole recording gives, in bounded steps.
+//! A vessel that grows frame by frame approaches the result of the whole recording, in bounded steps.
 
-use crate::support;
+use crate::support::shared;
+use crate::support::vessel::{self, coverage, mean_error_mm};
 use glam::{DVec2, DVec3};
 use lumenmesh::cylinders::CylinderReconstruction;
 use lumenmesh::cylinders::engine;
-use lumenmesh::evaluate::{Locator, Truth, evaluate};
+use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::reconstruction::{Live, Work};
 use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::settings::{Method, Settings, SweepSettings};
-use lumenmesh::simulate::{self, Insertion, Move, Phantom, Shape, Simulation};
+use lumenmesh::simulate::{self, Insertion, Move, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
 
@@ -21,9 +22,8 @@ fn sweep() -> Settings {
 }
 
 fn simulated(shape: &str, insertion: Insertion, seed: u64) -> Simulation {
-    let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
     let noise = simulate::Noise { seed, ..Default::default() };
-    Simulation::run(vessel, &simulate::Settings { insertion, noise, ..Default::default() }).unwrap()
+    vessel::simulated(shape, &simulate::Settings { insertion, noise, ..Default::default() })
 }
 
 fn pushed(frames: &[Frame], settings: &Settings) -> Live {
@@ -38,22 +38,6 @@ fn bytes(surface: &Surface) -> Vec<u64> {
     let arrays = surface.arrays.iter().flat_map(|a| a.values.iter().copied());
     let triangles = surface.triangles.iter().flatten().map(|&n| u64::from(n));
     nodes.chain(arrays).map(f64::to_bits).chain(triangles).collect()
-}
-
-/// Mean distance of a surface's nodes from a wall, but for those beyond its ends, mm.
-fn error_mm(surface: &Surface, wall: &Surface) -> f64 {
-    let closest = Locator::new(wall).unwrap().closest_all(&surface.nodes_mm);
-    let inside: Vec<f64> = closest.iter().filter(|c| !c.on_rim).map(|c| c.distance_mm).collect();
-    inside.iter().sum::<f64>() / inside.len() as f64
-}
-
-/// Share of a recording's wall points within 1 mm of a surface.
-fn coverage(surface: &Surface, truth: &Recording) -> f64 {
-    let to_world = |f: &Frame, p: DVec2| f.world_from_sensor.transform_point(p.extend(0.0));
-    let points: Vec<DVec3> =
-        truth.frames.iter().flat_map(|f| f.echoes_mm().map(|p| to_world(f, p))).collect();
-    let closest = Locator::new(surface).unwrap().closest_all(&points);
-    closest.iter().filter(|c| c.distance_mm < 1.0).count() as f64 / points.len() as f64
 }
 
 fn to_and_fro() -> Insertion {
@@ -77,7 +61,7 @@ fn to_and_fro() -> Insertion {
 fn live_cylinders_are_those_of_the_batch_to_the_last_bit() {
     let settings = cylinders();
     let mut recordings = vec![simulated("arch", Insertion::steady(), 4).recording];
-    if let Some(noisy) = support::shared("recordings/adult_aorta_noisy.mat") {
+    if let Some(noisy) = shared("recordings/adult_aorta_noisy.mat") {
         recordings.push(Recording::read(&noisy).unwrap());
     }
     for recording in recordings {
@@ -138,7 +122,7 @@ fn a_live_sweep_comes_near_to_the_batch() {
         let batch = Sweep::of(&simulation.recording, &sweep()).unwrap().surface(false);
         let live = pushed(frames, &sweep()).surface();
         live.check().unwrap();
-        let (live_mm, batch_mm) = (error_mm(&live, wall), error_mm(&batch, wall));
+        let (live_mm, batch_mm) = (mean_error_mm(&live, wall), mean_error_mm(&batch, wall));
         // The axis grew without knowledge of what came later, and old echoes were merged.
         assert!(live_mm < 1.6 * batch_mm, "{shape}: {live_mm} against {batch_mm}");
         let covered = coverage(&live, &simulation.truth_recording);
@@ -162,9 +146,9 @@ fn frames_that_are_off_the_axis_are_told() {
 
 #[test]
 fn the_published_recordings_meet_their_gates_live() {
-    let Some(clean) = support::shared("recordings/adult_aorta_clean.mat") else { return };
-    let Some(noisy) = support::shared("recordings/adult_aorta_noisy.mat") else { return };
-    let Some(truth) = support::shared("data/aorta_adult_full_steve.stl") else { return };
+    let Some(clean) = shared("recordings/adult_aorta_clean.mat") else { return };
+    let Some(noisy) = shared("recordings/adult_aorta_noisy.mat") else { return };
+    let Some(truth) = shared("data/aorta_adult_full_steve.stl") else { return };
     let truth = Truth::new(Surface::read(&truth).unwrap()).unwrap();
     let clean = Recording::read(&clean).unwrap();
     for (recording, gate_mm) in [(clean.clone(), 0.015), (Recording::read(&noisy).unwrap(), 0.11)] {
@@ -251,8 +235,8 @@ fn with_a_half_life_the_wall_follows_the_newer_pass() {
     let remember = with(None);
     let forget = with(Some(duration_s / 8.0));
     let batch =
-        |settings: &Settings| error_mm(&Sweep::of(&recording, settings).unwrap().surface(false), &moved);
-    let live = |settings: &Settings| error_mm(&pushed(&recording.frames, settings).surface(), &moved);
+        |settings: &Settings| mean_error_mm(&Sweep::of(&recording, settings).unwrap().surface(false), &moved);
+    let live = |settings: &Settings| mean_error_mm(&pushed(&recording.frames, settings).surface(), &moved);
     for of in [&batch as &dyn Fn(&Settings) -> f64, &live] {
         let (all, newer) = (of(&remember), of(&forget));
         assert!(all > 0.3 && newer < 0.15, "{all} {newer}");

@@ -1,12 +1,13 @@
-//! One smooth vessel from all echoes: what must come out of a recording whose truth is known.
+//! The sweep on recordings whose truth is known.
 
-use crate::support;
+use crate::support::shared;
+use crate::support::vessel::{coverage, errors_mm, simulated};
 use glam::{DMat3, DVec2, DVec3};
 use lumenmesh::evaluate::{Locator, Truth};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::settings::{Settings, SweepSettings};
-use lumenmesh::simulate::{self, ContourNoise, Insertion, Move, Noise, Phantom, Shape, Simulation};
+use lumenmesh::simulate::{self, ContourNoise, Insertion, Move, Noise};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
 use std::f64::consts::TAU;
@@ -57,34 +58,6 @@ fn same(a: &Surface, b: &Surface) -> bool {
     a.nodes_mm == b.nodes_mm && a.triangles == b.triangles
 }
 
-fn simulated(shape: &str, settings: &simulate::Settings) -> Simulation {
-    let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
-    Simulation::run(vessel, settings).unwrap()
-}
-
-/// Mean distance and mean signed distance from a surface's nodes to a vessel's wall, and the largest distance, mm.
-fn errors(surface: &Surface, wall: &Surface) -> (f64, f64, f64) {
-    let closest = Locator::new(wall).unwrap().closest_all(&surface.nodes_mm);
-    // Beyond the wall's own open ends there is nothing to compare with.
-    let inside: Vec<_> = closest.iter().filter(|c| !c.on_rim).collect();
-    let mean = |of: &dyn Fn(&lumenmesh::evaluate::Closest) -> f64| {
-        inside.iter().map(|c| of(c)).sum::<f64>() / inside.len() as f64
-    };
-    let largest = inside.iter().map(|c| c.distance_mm).fold(0.0, f64::max);
-    (mean(&|c| c.distance_mm), mean(&|c| c.signed_distance_mm), largest)
-}
-
-/// Share of a recording's wall points within 1 mm of a surface.
-fn coverage(surface: &Surface, truth: &Recording) -> f64 {
-    let points: Vec<DVec3> = truth
-        .frames
-        .iter()
-        .flat_map(|f| f.echoes_mm().map(|p| f.world_from_sensor.transform_point(p.extend(0.0))))
-        .collect();
-    let closest = Locator::new(surface).unwrap().closest_all(&points);
-    closest.iter().filter(|c| c.distance_mm < 1.0).count() as f64 / points.len() as f64
-}
-
 #[test]
 fn a_frustum_converges() {
     let (start, end, length) = (12.0, 8.0, 60.0);
@@ -110,9 +83,9 @@ fn a_cylinder_of_any_size_converges() {
 
 #[test]
 fn the_published_recordings_meet_their_gates() {
-    let Some(clean) = support::shared("recordings/adult_aorta_clean.mat") else { return };
-    let Some(noisy) = support::shared("recordings/adult_aorta_noisy.mat") else { return };
-    let Some(truth) = support::shared("data/aorta_adult_full_steve.stl") else { return };
+    let Some(clean) = shared("recordings/adult_aorta_clean.mat") else { return };
+    let Some(noisy) = shared("recordings/adult_aorta_noisy.mat") else { return };
+    let Some(truth) = shared("data/aorta_adult_full_steve.stl") else { return };
     let truth = Truth::new(Surface::read(&truth).unwrap()).unwrap();
     let clean = Recording::read(&clean).unwrap();
     for (recording, gate_mm) in [(clean.clone(), 0.015), (Recording::read(&noisy).unwrap(), 0.11)] {
@@ -133,7 +106,7 @@ fn a_catheter_that_rests_tilted_does_not_lift_the_wall() {
     // 20 mm forward, tip bent, turned in a circle, straightened: the thesis's sequence. Measured straight down to the
     // axis the wall would lie 0.05 mm too far out on average.
     let simulation = simulated("stenosis", &simulate::Settings::default());
-    let (mean, signed, largest) = errors(&surface(&simulation.recording), simulation.vessel.surface());
+    let (mean, signed, largest) = errors_mm(&surface(&simulation.recording), simulation.vessel.surface());
     assert!(mean < 0.06 && signed.abs() < 0.01 && largest < 0.5, "{mean} {signed} {largest}");
 }
 
@@ -164,7 +137,7 @@ fn a_catheter_that_stops_circles_and_goes_back_draws_the_same_vessel() {
     let settings = simulate::Settings { insertion, noise, ..simulate::Settings::default() };
     let simulation = simulated("arch", &settings);
     let sweep = swept(&simulation.recording);
-    let (mean, _, largest) = errors(&sweep.surface(false), simulation.vessel.surface());
+    let (mean, _, largest) = errors_mm(&sweep.surface(false), simulation.vessel.surface());
     assert!(mean < 0.06 && largest < 0.5, "{mean} {largest}");
     assert!(sweep.report.tangential_noise_mm < 0.01, "{:?}", sweep.report);
 }
@@ -181,7 +154,7 @@ fn a_narrow_bent_vessel_is_found_in_spikes_and_in_noise() {
         (simulate::Settings { probe: dense, insertion: steady, ..simulate::Settings::default() }, 0.1),
     ] {
         let simulation = simulated("small_arch", &settings);
-        let (mean, _, largest) = errors(&surface(&simulation.recording), simulation.vessel.surface());
+        let (mean, _, largest) = errors_mm(&surface(&simulation.recording), simulation.vessel.surface());
         assert!(mean < most && largest < 3.0, "{mean} {largest}");
     }
 }
@@ -199,7 +172,7 @@ fn the_order_of_frames_hardly_matters_and_the_number_of_threads_not_at_all() {
     let count = recording.frames.len();
     let shuffled = (0..7).flat_map(|first| (first..count).step_by(7));
     let shuffled = Recording { frames: shuffled.map(|k| recording.frames[k].clone()).collect() };
-    let (mean, _, _) = errors(&self::surface(&shuffled), &surface);
+    let (mean, _, _) = errors_mm(&self::surface(&shuffled), &surface);
     assert!(mean < 0.02, "{mean}");
 }
 

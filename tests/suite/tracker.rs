@@ -1,16 +1,14 @@
-//! What a tracker got wrong: when it is found, when it pays to take it off, and when there is nothing to be found.
+//! The tracker's errors: when they are found, when correcting them helps, and when there are none to find.
 
-use lumenmesh::evaluate::Locator;
+use crate::support::vessel::{self, mean_error_mm};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Settings, SweepSettings};
-use lumenmesh::simulate::{self, Insertion, Noise, Phantom, Shape, Simulation};
-use lumenmesh::surface::Surface;
+use lumenmesh::simulate::{self, Insertion, Noise, Simulation};
 use lumenmesh::sweep::{Sweep, Tracker};
 
 /// The thesis's sequence of moves through a phantom.
 fn simulated(shape: &str, noise: Noise) -> Simulation {
-    let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
-    Simulation::run(vessel, &simulate::Settings { noise, ..simulate::Settings::default() }).unwrap()
+    vessel::simulated(shape, &simulate::Settings { noise, ..simulate::Settings::default() })
 }
 
 /// A tracker three times as noisy as the thesis's.
@@ -38,13 +36,6 @@ fn swept(recording: &Recording, sweep: SweepSettings) -> Sweep {
 fn reconstructed(simulation: &Simulation, sweep: SweepSettings) -> (f64, Option<Tracker>) {
     let sweep = swept(&simulation.recording, sweep);
     (mean_error_mm(&sweep.surface(false), simulation.vessel.surface()), sweep.report.tracker)
-}
-
-fn mean_error_mm(surface: &Surface, wall: &Surface) -> f64 {
-    let closest = Locator::new(wall).unwrap().closest_all(&surface.nodes_mm);
-    // Beyond the wall's own open ends there is nothing to compare with.
-    let inside: Vec<f64> = closest.iter().filter(|c| !c.on_rim).map(|c| c.distance_mm).collect();
-    inside.iter().sum::<f64>() / inside.len() as f64
 }
 
 #[test]
@@ -117,8 +108,7 @@ fn a_steady_pullback_shows_no_offset() {
         noise: late(0.3),
         ..simulate::Settings::default()
     };
-    let vessel = Phantom::from("aorta".parse::<Shape>().unwrap()).vessel().unwrap();
-    let simulation = Simulation::run(vessel, &settings).unwrap();
+    let simulation = vessel::simulated("aorta", &settings);
     let tracker = reconstructed(&simulation, offset()).1.unwrap();
     assert!(!tracker.offset_corrected, "{tracker:?}");
 }

@@ -1,20 +1,17 @@
-//! The piece of vessel about a place.
+//! A short piece of vessel as a bent, tapering tube with a section that need not be round.
 
 use crate::geometry::Pose;
+use crate::recording::echo_error::{OUT_OF_PLANE, likeliest_direction};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-/// Numbers by which a [`LocalTube`] differs from another one nearby, in the order of [`Change`].
+/// Number of parameters of a [`LocalTube`], in the order of [`Change`].
 pub(super) const PARAMETERS: usize = 12;
 
-/// Changes of centre (2, mm), slope (2), bend (2, 1/mm), radius (mm), taper, oval (2, mm) and lobes (2, mm).
+/// Changes of the parameters: centre (2, mm), slope (2), bend (2, 1/mm), radius (mm), taper, oval (2, mm) and lobes (2, mm).
 pub(super) type Change = [f64; PARAMETERS];
 
-/// Share of an echo's variance that lies across its image plane: contours are uncertain within their plane, poses in
-/// every direction.
-const OUT_OF_PLANE: f64 = 0.1;
-
-/// A short tube that bends, tapers and is not quite round: about the parabola (b z²/2, z) of its own axes, of
-/// radius R + t z + o·(cos 2φ, sin 2φ) + l·(cos 3φ, sin 3φ).
+/// A short tube that bends, tapers and is not quite round. In its own coordinates, the axis is the parabola (b z²/2, z) and
+/// the radius is R + t z + o·(cos 2φ, sin 2φ) + l·(cos 3φ, sin 3φ).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LocalTube {
     /// Origin on the tube's axis, z along it.
@@ -27,16 +24,23 @@ pub(super) struct LocalTube {
     pub lobes_mm: DVec2,
 }
 
-/// A wall point held against a tube.
-pub(super) struct Held {
-    /// Distance outside the wall, mm.
-    pub miss_mm: f64,
-    /// Variance of that distance, in units of an echo's within its image plane.
+/// The residual of an echo from the wall of a tube.
+pub(super) struct TubeResidual {
+    /// Distance outside the wall along its normal, mm.
+    pub distance_mm: f64,
+    /// Variance of that distance, in units of the echo's variance within its image plane.
     pub variance: f64,
-    /// How far along the axis the wall was most likely hit, mm.
+    /// Station along the axis of the likeliest point of the wall, mm.
     pub s_mm: f64,
-    /// How far the wall there moves out with each parameter; the first two are its normal.
+    /// Derivatives of the wall's distance from the axis there by each parameter; the first two are its normal.
     pub gain: Change,
+}
+
+impl TubeResidual {
+    /// The standardised residual: the distance divided by its standard deviation, in mm of noise within the image plane.
+    pub fn residual_mm(&self) -> f64 {
+        self.distance_mm / self.variance.sqrt()
+    }
 }
 
 impl LocalTube {
@@ -51,46 +55,43 @@ impl LocalTube {
         }
     }
 
-    /// z of the axis's point nearest to a point given in the tube's axes, by two of Newton's steps.
+    /// z of the point of the axis nearest to `p`, given in the tube's coordinates; two Newton steps.
     pub fn station(&self, p: DVec3) -> f64 {
         (0..2).fold(p.z, |s, _| {
             let along = (self.bend_per_mm * s).extend(1.0);
             let away = p - self.on_axis(s);
             let fall = along.length_squared();
-            // Behind the centre of curvature there is no nearest point: no larger steps than beside it.
+            // Behind the centre of curvature there is no nearest point: steps are limited.
             s + away.dot(along) / (fall - away.truncate().dot(self.bend_per_mm)).max(0.3 * fall)
         })
     }
 
-    /// Distance of a point given in the tube's axes outside its wall, mm.
-    pub fn miss_mm(&self, p: DVec3) -> f64 {
-        self.foot(p).miss_mm
+    /// Distance of `p`, given in the tube's coordinates, outside the wall, mm.
+    pub fn distance_mm(&self, p: DVec3) -> f64 {
+        self.projection(p).distance_mm
     }
 
-    /// Holds a point given in the tube's axes against the wall.
+    /// The residual of an echo at `p`, given in the tube's coordinates, along its error ellipsoid
+    /// ([`likeliest_direction`]); the likeliest point of the wall is sought at most `reach_mm` away.
     ///
-    /// An echo's errors have covariance Σ ∝ I − (1 − ε) z zᵀ, z being the normal of its image plane, so the distance d
-    /// along the wall's normal n has variance nᵀΣn, and the likeliest point of the wall lies along Σn. Plain
-    /// distances instead would shrink as a tube leans over its rings, and lean every fit.
-    /// `reach_mm` bounds how far off that point is looked for.
-    pub fn hold(&self, p: DVec3, image_normal: DVec3, reach_mm: f64) -> Held {
-        let Foot { s, normal: n, waves, miss_mm } = self.foot(p);
-        let likeliest = n - image_normal * ((1.0 - OUT_OF_PLANE) * n.dot(image_normal));
-        let variance = n.dot(likeliest);
+    /// Plain distances would shrink as the tube leans against its frames, so every fit would lean.
+    pub fn residual_of(&self, p: DVec3, image_normal: DVec3, reach_mm: f64) -> TubeResidual {
+        let Projection { s, normal: n, waves, distance_mm } = self.projection(p);
+        let (likeliest, variance) = likeliest_direction(n, image_normal, OUT_OF_PLANE);
         let along = (self.bend_per_mm * s).extend(1.0);
-        let shift = miss_mm.clamp(-reach_mm, reach_mm) / variance;
+        let shift = distance_mm.clamp(-reach_mm, reach_mm) / variance;
         let s = s - shift * likeliest.dot(along) / along.length_squared();
         let half = 0.5 * s * s;
         let [c2, s2, c3, s3] = waves;
         let gain = [n.x, n.y, n.x * s, n.y * s, n.x * half, n.y * half, 1.0, s, c2, s2, c3, s3];
-        Held { miss_mm, variance, s_mm: s, gain }
+        TubeResidual { distance_mm, variance, s_mm: s, gain }
     }
 
     fn on_axis(&self, s: f64) -> DVec3 {
         (self.bend_per_mm * (0.5 * s * s)).extend(s)
     }
 
-    fn foot(&self, p: DVec3) -> Foot {
+    fn projection(&self, p: DVec3) -> Projection {
         let s = self.station(p);
         let away = p - self.on_axis(s);
         let distance = away.length();
@@ -100,10 +101,10 @@ impl LocalTube {
         let third = second.rotate(first);
         let wall = self.radius_mm + self.taper * s + self.oval_mm.dot(second) + self.lobes_mm.dot(third);
         let waves = [second.x, second.y, third.x, third.y];
-        Foot { s, normal, waves, miss_mm: distance - wall }
+        Projection { s, normal, waves, distance_mm: distance - wall }
     }
 
-    /// The tube with its parameters changed; its z axis follows the slope.
+    /// The tube with changed parameters; its z axis follows the slope.
     #[must_use]
     pub fn changed(&self, by: &Change) -> Self {
         let [cx, cy, slope_x, slope_y, bx, by, radius, taper, o1, o2, l1, l2] = *by;
@@ -122,7 +123,7 @@ impl LocalTube {
         }
     }
 
-    /// The same tube described from its axis's point at z = `s`.
+    /// The same tube described from the point of its axis at z = `s`.
     #[must_use]
     pub fn moved(&self, s: f64) -> Self {
         let (centre, slope) = (self.bend_per_mm * (0.5 * s * s), self.bend_per_mm * s);
@@ -134,6 +135,7 @@ impl LocalTube {
         moved
     }
 
+    /// Whether all parameters are finite and the radius is positive.
     pub fn is_sound(&self) -> bool {
         self.world_from_axis.is_finite()
             && self.bend_per_mm.is_finite()
@@ -145,14 +147,16 @@ impl LocalTube {
     }
 }
 
-/// The wall nearest to a point.
-struct Foot {
+/// The projection of a point onto the wall, through the nearest point of the axis.
+struct Projection {
+    /// Station of that point, mm.
     s: f64,
     /// Unit vector from the axis to the point.
     normal: DVec3,
     /// cos 2φ, sin 2φ, cos 3φ, sin 3φ.
     waves: [f64; 4],
-    miss_mm: f64,
+    /// Distance outside the wall, mm.
+    distance_mm: f64,
 }
 
 #[cfg(test)]
@@ -170,30 +174,30 @@ mod tests {
         }
     }
 
-    fn miss_mm(tube: &LocalTube, world: DVec3) -> f64 {
-        tube.miss_mm(tube.world_from_axis.inverse().transform_point(world))
+    fn distance_mm(tube: &LocalTube, world: DVec3) -> f64 {
+        tube.distance_mm(tube.world_from_axis.inverse().transform_point(world))
     }
 
     #[test]
-    fn gains_are_the_derivatives_of_the_miss() {
+    fn gains_are_the_derivatives_of_the_distance() {
         // Waves would turn with the slope: an effect of second order in the shape.
         let tube = LocalTube { oval_mm: DVec2::ZERO, lobes_mm: DVec2::ZERO, taper: 0.0, ..tube() };
         let p = DVec3::new(7.0, 8.0, 3.0);
         let world = tube.world_from_axis.transform_point(p);
         // No reach: the wall right under the point.
-        let held = tube.hold(p, DVec3::Z, 0.0);
+        let residual = tube.residual_of(p, DVec3::Z, 0.0);
         for i in 0..PARAMETERS {
             let h = 1e-5;
             let stepped = |h: f64| {
                 let mut change = [0.0; PARAMETERS];
                 change[i] = h;
-                miss_mm(&tube.changed(&change), world)
+                distance_mm(&tube.changed(&change), world)
             };
             let slope = (stepped(-h) - stepped(h)) / (2.0 * h);
             assert!(
-                (slope - held.gain[i]).abs() < 0.02 * (1.0 + slope.abs()),
+                (slope - residual.gain[i]).abs() < 0.02 * (1.0 + slope.abs()),
                 "{i}: {slope} {}",
-                held.gain[i]
+                residual.gain[i]
             );
         }
     }
@@ -204,7 +208,7 @@ mod tests {
         let moved = tube.moved(2.0);
         for p in [DVec3::new(9.0, 1.0, 0.0), DVec3::new(-5.0, 8.0, 3.0)] {
             let world = tube.world_from_axis.transform_point(p);
-            let (here, there) = (miss_mm(&tube, world), miss_mm(&moved, world));
+            let (here, there) = (distance_mm(&tube, world), distance_mm(&moved, world));
             assert!((here - there).abs() < 0.03, "{here} {there}");
         }
     }
@@ -212,10 +216,10 @@ mod tests {
     #[test]
     fn a_slanting_image_makes_distances_less_certain_than_they_look() {
         let straight = LocalTube::straight(Pose::IDENTITY, 10.0);
-        let across = straight.hold(DVec3::new(10.5, 0.0, 0.0), DVec3::Z, 1.0);
+        let across = straight.residual_of(DVec3::new(10.5, 0.0, 0.0), DVec3::Z, 1.0);
         assert!((across.variance - 1.0).abs() < 1e-12 && across.s_mm == 0.0);
         let normal = DVec3::new(0.6, 0.0, 0.8);
-        let slanting = straight.hold(DVec3::new(10.5, 0.0, 0.0), normal, 1.0);
+        let slanting = straight.residual_of(DVec3::new(10.5, 0.0, 0.0), normal, 1.0);
         assert!((slanting.variance - (1.0 - 0.9 * 0.36)).abs() < 1e-12);
         // Noise moved the echo along the image: it came from farther up the wall.
         let expected = 0.5 / slanting.variance * 0.9 * 0.6 * 0.8;

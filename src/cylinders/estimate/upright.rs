@@ -1,11 +1,14 @@
+//! The estimator's interface, and the cylinder that stands upright on its frame.
+
 use crate::geometry::Pose;
-use crate::recording::{CylinderModel, Frame, MOST_RADIUS_MM};
+use crate::numerics::robust::median;
+use crate::recording::{CylinderModel, Frame, MAX_RADIUS_MM};
 use glam::{DVec2, DVec3};
 
 /// Finds the local cylinder of each frame from the contours and poses seen so far.
 ///
-/// Frames are shown in the order in which they arrive; an estimate uses that frame and earlier ones only, so
-/// that it is there while the catheter still moves.
+/// Frames are passed in the order of their arrival; an estimate uses that frame and earlier ones only, so that it is
+/// available while the catheter still moves.
 pub trait CylinderEstimator {
     /// Takes the next frame and returns its cylinder; `None` where the frame shows no wall, or one whose radius
     /// [`Recording::check`](crate::recording::Recording::check) would refuse.
@@ -15,8 +18,8 @@ pub trait CylinderEstimator {
 /// A cylinder that stands upright on the frame: along the probe's z axis, about the area centroid of its contour
 /// ([`Frame::centroid_mm`]). The radius is the median distance of its wall points from there.
 ///
-/// For contours drawn across the vessel, as in pullbacks whose poses nobody measured, and lumens so far from round that
-/// their centres jump from frame to frame without the vessel turning.
+/// For contours drawn across the vessel, as in pullbacks without measured poses, and for lumens so far from round that
+/// their centres jump from frame to frame although the vessel does not turn.
 #[derive(Debug, Clone, Copy)]
 pub struct Upright {
     /// The calibration `eTi` (thesis, Eq. 11).
@@ -24,7 +27,7 @@ pub struct Upright {
 }
 
 impl CylinderEstimator for Upright {
-    /// `None` also where the probe's axis runs along the plane z = 0 of `{e}`, which a [`CylinderModel`] cannot express.
+    /// `None` also where the probe's axis is parallel to the plane z = 0 of `{e}`, which a [`CylinderModel`] cannot express.
     fn push(&mut self, frame: &Frame) -> Option<CylinderModel> {
         about(frame, frame.centroid_mm()?, self.sensor_from_probe.rotation.z_axis, &self.sensor_from_probe)
     }
@@ -38,13 +41,12 @@ fn about(frame: &Frame, centre_mm: DVec2, axis: DVec3, sensor_from_probe: &Pose)
         .map(|p| sensor_from_probe.transform_point(p.extend(0.0)) - centre)
         .map(|p| p.reject_from_normalized(axis).length())
         .collect();
-    let middle = distances.len() / 2;
-    let radius_mm = *distances.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let radius_mm = median(&mut distances);
 
     let to_plane = -centre.z / axis.z;
-    let foot = centre + axis * to_plane;
-    let model = CylinderModel::from_axis(foot.x, foot.y, axis, radius_mm);
-    (axis.z.abs() > 1e-3 && model.is_finite() && (0.0 < radius_mm && radius_mm <= MOST_RADIUS_MM))
+    let on_plane = centre + axis * to_plane;
+    let model = CylinderModel::from_axis(on_plane.x, on_plane.y, axis, radius_mm);
+    (axis.z.abs() > 1e-3 && model.is_finite() && (0.0 < radius_mm && radius_mm <= MAX_RADIUS_MM))
         .then_some(model)
 }
 

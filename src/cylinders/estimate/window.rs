@@ -1,35 +1,35 @@
-//! The local tube as a robust fit to all wall seen nearby.
+//! The local tube as a robust fit to the wall points of a window of frames.
 
 use super::CylinderEstimator;
-use super::follow::{Follower, Ring, TubeFit, robust_sd};
+use super::follow::{Follower, FrameWall, TubeFit};
 use super::local_tube::{Change, LocalTube, PARAMETERS};
 use crate::geometry::Pose;
-use crate::numerics::cholesky::{Matrix, backward, cholesky, dot, forward};
+use crate::numerics::cholesky::{Matrix, cholesky, dot, forward, solve};
+use crate::numerics::robust::{robust_sd, tukey_weight};
 use crate::recording::{CylinderModel, Frame};
 use glam::DVec3;
 use std::collections::VecDeque;
 
-/// A cylinder from a robust fit to the wall that the last frames showed nearby; see `docs/method.md`,
-/// "Local cylinder estimate".
+/// A cylinder from a robust fit to the wall points of nearby frames; see `docs/method.md`, "Local cylinder estimate".
 ///
-/// The wall points within [`WINDOW_RADII`](Self::WINDOW_RADII) along the vessel, seen on the way there or back, are
-/// fitted by a tube that bends, tapers and may be a little out of round; the cylinder is what touches its axis beside
-/// the probe. Gauss and Newton's step is taken once a frame from the last estimate, under Tukey's weights.
+/// The wall points within [`WINDOW_RADII`](Self::WINDOW_RADII) along the vessel, whenever they were seen, are fitted by a
+/// tube that bends, tapers and may be slightly out of round; the cylinder is tangent to its axis beside the probe. Each
+/// frame takes one Gauss-Newton step with Tukey's weights from the last estimate.
 ///
-/// One frame takes bounded time: at most [`MOST_FRAMES`](Self::MOST_FRAMES) frames are kept, those whose image
+/// One frame takes bounded time: at most [`MAX_FRAMES`](Self::MAX_FRAMES) frames are kept, those whose image
 /// planes lie farthest from each other.
 #[derive(Debug, Clone)]
 pub struct WindowFit(Follower<Window>);
 
 impl WindowFit {
-    /// Half the length of the window, in radii of the vessel. Weights fall to 0 there.
+    /// Half the length of the window, in radii of the vessel. Weights decrease to 0 there.
     pub const WINDOW_RADII: f64 = 1.5;
-    /// Half the length of the window at least, mm: small vessels drown in the noise of the same tracker.
-    pub const LEAST_WINDOW_MM: f64 = 6.0;
-    /// Frames that are kept at most.
-    pub const MOST_FRAMES: usize = 128;
+    /// Smallest half length of the window, mm: in small vessels the tracker's noise is larger than the window in radii.
+    pub const MIN_WINDOW_MM: f64 = 6.0;
+    /// Largest number of frames that are kept.
+    pub const MAX_FRAMES: usize = 128;
 
-    /// An estimate that has seen nothing yet. `sensor_from_probe` is the calibration `eTi` (thesis, Eq. 11).
+    /// An estimate without any frames. `sensor_from_probe` is the calibration `eTi` (thesis, Eq. 11).
     pub fn new(sensor_from_probe: Pose) -> Self {
         Self(Follower::new(sensor_from_probe))
     }
@@ -43,56 +43,57 @@ impl Default for WindowFit {
 }
 
 impl CylinderEstimator for WindowFit {
-    /// `None` also where the pose is not finite, or the axis runs along the plane z = 0 of `{e}`, which a
+    /// `None` also where the pose is not finite, or the axis is parallel to the plane z = 0 of `{e}`, which a
     /// [`CylinderModel`] cannot express.
     fn push(&mut self, frame: &Frame) -> Option<CylinderModel> {
         self.0.push(frame)
     }
 }
 
-/// What vessels are like: standard deviations, about 0, of the parameters of [`Change`], lengths in radii. The wall seen
-/// soon outweighs them; they hold what one or two frames cannot tell.
+/// Prior standard deviations of the parameters of [`Change`] about 0, lengths in radii. After a few frames the data
+/// outweigh them; they determine what one or two frames cannot.
 const SLOPE_SD: f64 = 0.15;
 const BEND_SD: f64 = 0.25;
 const TAPER_SD: f64 = 0.15;
 const OVAL_SD: f64 = 0.1;
 const LOBES_SD: f64 = 0.02;
 
-/// Standard deviation of the error that all points of a frame share, mm: that of a usual tracker.
+/// Standard deviation of the error that all points of a frame share, mm: that of a typical tracker.
 const POSE_SD_MM: f64 = 0.3;
 /// Standard deviation of a section's own oval, in radii. A tilted section is an ellipse, but so are many vessels: without
-/// this, a real one that is never quite round tips the tube over by 10 degrees and more.
+/// this term, real vessels, which are never quite round, tilt the tube by 10 degrees and more.
 const SECTION_SD: f64 = 0.1;
 
 /// Tukey's constant: 95 % efficient where errors are normal.
 const TUKEY_SDS: f64 = 4.0;
-/// Points this near are never outliers, in radii: a wall that is rough where noise is little; a first guess.
+/// Points nearer to the wall than this, in radii, are never outliers, even where the noise is small; the second value
+/// applies to the first frame.
 const NEAR: f64 = 0.05;
 const NEAR_AT_FIRST: f64 = 0.3;
 
-/// Noise is taken to be no less than this, in radii: what a smooth tube leaves of any wall.
-const LEAST_NOISE: f64 = 0.02;
+/// Smallest noise, in radii: the residual of any real wall from a smooth tube.
+const MIN_NOISE: f64 = 0.02;
 
-/// Frames during which the fit takes more steps than one.
-const YOUNG: usize = 10;
-const STEPS_WHILE_YOUNG: usize = 5;
+/// While the window has fewer frames than this, the fit takes several steps per frame.
+const FIRST_FRAMES: usize = 10;
+const FIRST_STEPS: usize = 5;
 
-/// The rings of the window and the tube through them.
+/// The frames of the window and the tube through them.
 #[derive(Debug, Clone)]
 struct Window {
-    /// In the order in which they came.
-    rings: VecDeque<Ring>,
+    /// In the order of arrival.
+    walls: VecDeque<FrameWall>,
     tube: LocalTube,
     noise_mm: f64,
     tangential_mm2: f64,
 }
 
 impl TubeFit for Window {
-    fn start(ring: &Ring) -> Self {
+    fn start(wall: &FrameWall) -> Self {
         Self {
-            rings: VecDeque::new(),
-            tube: ring.tube(),
-            noise_mm: ring.scatter_mm.clamp(LEAST_NOISE * ring.radius_mm, 0.3 * ring.radius_mm),
+            walls: VecDeque::new(),
+            tube: wall.tube(),
+            noise_mm: wall.scatter_mm.clamp(MIN_NOISE * wall.radius_mm, 0.3 * wall.radius_mm),
             tangential_mm2: 0.0,
         }
     }
@@ -105,13 +106,13 @@ impl TubeFit for Window {
         self.tangential_mm2
     }
 
-    fn add(&mut self, ring: Ring) -> Option<()> {
-        let newest = ring.clone();
+    fn add(&mut self, wall: FrameWall) -> Option<()> {
+        let newest = wall.clone();
         let beside = |tube: LocalTube| Some(newest.beside(&tube).0).filter(LocalTube::is_sound);
         self.tube = beside(self.tube)?;
-        let near = if self.rings.is_empty() { NEAR_AT_FIRST } else { NEAR };
-        self.remember(ring);
-        let steps = if self.rings.len() < YOUNG { STEPS_WHILE_YOUNG } else { 1 };
+        let near = if self.walls.is_empty() { NEAR_AT_FIRST } else { NEAR };
+        self.remember(wall);
+        let steps = if self.walls.len() < FIRST_FRAMES { FIRST_STEPS } else { 1 };
         for _ in 0..steps {
             let change = self.step(near)?;
             let changed = self.tube.changed(&change);
@@ -123,30 +124,30 @@ impl TubeFit for Window {
 
 impl Window {
     fn half_length_mm(&self) -> f64 {
-        (WindowFit::WINDOW_RADII * self.tube.radius_mm).max(WindowFit::LEAST_WINDOW_MM)
+        (WindowFit::WINDOW_RADII * self.tube.radius_mm).max(WindowFit::MIN_WINDOW_MM)
     }
 
-    /// Keeps a ring and drops what is too much: rings out of reach, and then those that say least: whose neighbours in
-    /// time, on either side, are nearest to each other.
-    fn remember(&mut self, ring: Ring) {
-        // A tilted ring reaches into the window from outside.
+    /// Keeps a frame and drops frames out of reach. Beyond the largest number it drops those that add least: whose
+    /// neighbours in time, on either side, are nearest to each other.
+    fn remember(&mut self, wall: FrameWall) {
+        // A tilted frame reaches into the window from outside.
         let reach = self.half_length_mm() + self.tube.radius_mm;
         let to_axis = self.tube.world_from_axis.inverse();
-        self.rings.retain(|ring| to_axis.transform_point(ring.centre_mm).length() <= reach);
-        self.rings.push_back(ring);
-        while self.rings.len() > WindowFit::MOST_FRAMES {
-            let apart = |a: &Ring, b: &Ring| {
+        self.walls.retain(|wall| to_axis.transform_point(wall.centre_mm).length() <= reach);
+        self.walls.push_back(wall);
+        while self.walls.len() > WindowFit::MAX_FRAMES {
+            let apart = |a: &FrameWall, b: &FrameWall| {
                 let turned = a.world_from_probe.rotation.z_axis.distance(b.world_from_probe.rotation.z_axis);
                 a.centre_mm.distance(b.centre_mm) + self.tube.radius_mm * turned
             };
-            let neighbours = self.rings.iter().zip(self.rings.iter().skip(2));
+            let neighbours = self.walls.iter().zip(self.walls.iter().skip(2));
             let gaps = neighbours.map(|(a, b)| apart(a, b)).enumerate();
             let least = gaps.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(before, _)| before + 1);
-            self.rings.remove(least);
+            self.walls.remove(least);
         }
     }
 
-    /// Gauss and Newton's step, by maximum a posteriori; measures the noise on the way.
+    /// A Gauss-Newton step towards the maximum a posteriori; also updates the noise.
     fn step(&mut self, near: f64) -> Option<Change> {
         let tube = &self.tube;
         let to_axis = tube.world_from_axis.inverse();
@@ -157,37 +158,37 @@ impl Window {
         let mut right: Change = [0.0; PARAMETERS];
         let mut sizes = Vec::new();
         let (mut direction, mut tangential, mut total) = (DVec3::ZERO, 0.0, 0.0);
-        for ring in &self.rings {
-            let image_normal = to_axis.rotation * ring.world_from_probe.rotation.z_axis;
+        for wall in &self.walls {
+            let image_normal = to_axis.rotation * wall.world_from_probe.rotation.z_axis;
             let mut shared = Shared::new(tube.radius_mm);
-            for &p in &ring.points_mm {
+            for &p in &wall.points_mm {
                 let p = to_axis.transform_point(p);
-                let held = tube.hold(p, image_normal, 3.0 * self.noise_mm);
-                let along = held.s_mm / half_length;
+                let residual = tube.residual_of(p, image_normal, 3.0 * self.noise_mm);
+                let along = residual.s_mm / half_length;
                 if along.abs() >= 1.0 {
                     continue;
                 }
-                let size = held.miss_mm.abs() / held.variance.sqrt();
+                let size = residual.residual_mm().abs();
                 sizes.push(size);
                 if size >= gate {
                     continue;
                 }
-                let weight = bisquare(along) * bisquare(size / gate) * precision / held.variance;
+                let weight = tukey_weight(along) * tukey_weight(size / gate) * precision / residual.variance;
                 for i in 0..PARAMETERS {
-                    let g = weight * held.gain[i];
-                    for (sum, other) in normal[i][..=i].iter_mut().zip(&held.gain) {
+                    let g = weight * residual.gain[i];
+                    for (sum, other) in normal[i][..=i].iter_mut().zip(&residual.gain) {
                         *sum += g * other;
                     }
-                    right[i] += g * held.miss_mm;
+                    right[i] += g * residual.distance_mm;
                 }
-                shared.add(weight, &held.gain, held.miss_mm);
+                shared.add(weight, &residual.gain, residual.distance_mm);
             }
-            shared.take_out(&mut normal, &mut right)?;
+            shared.eliminate(&mut normal, &mut right)?;
             direction += image_normal * shared.weight;
-            tangential += ring.tangential_mm2 * shared.weight;
+            tangential += wall.tangential_mm2 * shared.weight;
             total += shared.weight;
         }
-        // The catheter lies along the vessel, by and large.
+        // The catheter lies roughly along the vessel.
         let lean = direction / direction.z;
         let r = tube.radius_mm;
         let priors = [
@@ -206,25 +207,20 @@ impl Window {
             right[i] += expected / (sd * sd);
         }
         let root = cholesky(&normal)?;
-        self.noise_mm = robust_sd(&mut sizes).max(LEAST_NOISE * r);
-        // No more than noise all round can have: contours drawn by hand have points at uneven angles. The points kept
-        // are the middle ones of a few, which scatter less along the rays than across.
+        self.noise_mm = robust_sd(&mut sizes).max(MIN_NOISE * r);
+        // At most what isotropic noise can have: contours drawn by hand have points at uneven angles. The points used are
+        // medians of a few, which scatter less along the rays than across.
         self.tangential_mm2 = (tangential / total).min(2.25 * self.noise_mm * self.noise_mm);
-        Some(backward(&root, forward(&root, right)))
+        Some(solve(&root, right))
     }
 }
 
-/// Tukey's biweight.
-fn bisquare(u: f64) -> f64 {
-    (1.0 - u * u).powi(2)
-}
-
-/// Errors that the points of one ring share: a shift across the axis (2) and an oval (2).
+/// Errors that the points of one frame share: a shift across the axis (2) and an oval (2).
 const SHARED: usize = 4;
-/// Which of the parameters act alike.
+/// The parameters with the same effect.
 const ACTS_LIKE: [usize; SHARED] = [0, 1, 8, 9];
 
-/// What the points of one ring say about the errors that they share.
+/// The normal equations of the errors that the points of one frame share.
 struct Shared {
     weight: f64,
     normal: Matrix<SHARED>,
@@ -243,7 +239,7 @@ impl Shared {
         Self { weight: 0.0, normal, right: [0.0; SHARED], with: [[0.0; SHARED]; PARAMETERS] }
     }
 
-    fn add(&mut self, weight: f64, gain: &Change, miss_mm: f64) {
+    fn add(&mut self, weight: f64, gain: &Change, distance_mm: f64) {
         let own = ACTS_LIKE.map(|i| gain[i]);
         self.weight += weight;
         for i in 0..SHARED {
@@ -251,7 +247,7 @@ impl Shared {
             for (sum, other) in self.normal[i][..=i].iter_mut().zip(&own) {
                 *sum += g * other;
             }
-            self.right[i] += g * miss_mm;
+            self.right[i] += g * distance_mm;
         }
         for (sums, g) in self.with.iter_mut().zip(gain) {
             let g = weight * g;
@@ -261,8 +257,8 @@ impl Shared {
         }
     }
 
-    /// Integrates the shared errors out of the sums over the points.
-    fn take_out(&self, normal: &mut Matrix<PARAMETERS>, right: &mut Change) -> Option<()> {
+    /// Eliminates the shared errors from the normal equations of the tube (Schur complement).
+    fn eliminate(&self, normal: &mut Matrix<PARAMETERS>, right: &mut Change) -> Option<()> {
         let root = cholesky(&self.normal)?;
         let own = forward(&root, self.right);
         let with = self.with.map(|with| forward(&root, with));
@@ -303,9 +299,9 @@ mod tests {
         for k in 0..1000 {
             estimate.push(&frame(f64::from(k).min(50.0) * 0.2, 0.0)).unwrap();
         }
-        let rings = &estimate.0.known().unwrap().rings;
-        assert_eq!(rings.len(), WindowFit::MOST_FRAMES);
-        let moving = rings.iter().filter(|ring| ring.centre_mm.z < 9.9).count();
+        let walls = &estimate.0.known().unwrap().walls;
+        assert_eq!(walls.len(), WindowFit::MAX_FRAMES);
+        let moving = walls.iter().filter(|wall| wall.centre_mm.z < 9.9).count();
         assert!(moving >= 45, "{moving} of 50");
     }
 
@@ -315,9 +311,9 @@ mod tests {
         for k in 0..1000 {
             estimate.push(&frame(0.0, f64::from(k) / 1000.0 * TAU)).unwrap();
         }
-        let rings = &estimate.0.known().unwrap().rings;
-        let sum: DVec3 = rings.iter().map(|ring| ring.world_from_probe.rotation.z_axis).sum();
-        let mean = sum / rings.len() as f64;
+        let walls = &estimate.0.known().unwrap().walls;
+        let sum: DVec3 = walls.iter().map(|wall| wall.world_from_probe.rotation.z_axis).sum();
+        let mean = sum / walls.len() as f64;
         assert!(mean.truncate().length() < 0.02, "{mean}");
     }
 }

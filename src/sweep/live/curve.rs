@@ -1,69 +1,72 @@
-//! The curve of the axis while it grows.
+//! The growing curve of the axis.
 
+use crate::geometry::polyline::{nearest, resampled};
 use crate::numerics::banded::Pentadiagonal;
-use crate::sweep::prepare::centreline::{NODES_PER_RADIUS, SMOOTHNESS, centreline, resampled};
+use crate::sweep::prepare::centreline::{NODES_PER_RADIUS, SMOOTHNESS, centreline};
 use glam::DVec3;
 use std::ops::Range;
 
-/// The curve goes on straight for so many nodes beyond the centres: echoes of tilted frames lie there.
+/// The curve extends straight beyond the centres by this many nodes: echoes of tilted frames lie there.
 const BEYOND: usize = 6;
-/// Nodes farther than this from both ends of the centres stay where they are.
+/// Nodes farther than this from both ends of the centres are fixed.
 const SETTLED: usize = 4;
-/// Centres farther than this from the curve, in lumen radii, show that its end has gone astray; so many of its settled
-/// nodes are then drawn anew at most.
-const ASTRAY_RADII: f64 = 0.5;
-const MOST_TAKEN_BACK: usize = 8;
-/// Centres farther than this from the curve, in lumen radii, are not of this vessel, or not yet.
-const STRAY_RADII: f64 = 2.0;
-/// The curve is not drawn anew for less, in lumen radii.
+/// Centres farther than this from the curve, in lumen radii, show that its end took a wrong course; at most
+/// [`MAX_RELEASED`] of its settled nodes are then fitted again.
+const WRONG_COURSE_RADII: f64 = 0.5;
+const MAX_RELEASED: usize = 8;
+/// Centres farther than this from the curve, in lumen radii, are outliers: not of this vessel, or not yet.
+const OUTLIER_RADII: f64 = 2.0;
+/// Smaller changes of the curve, in lumen radii, are not applied.
 const TOLERANCE_RADII: f64 = 0.01;
-/// Nodes that move by less, in lumen radii, stay while others are drawn anew, so that fewer echoes need a new place.
+/// Nodes that move by less, in lumen radii, keep their place while others move, so that fewer echoes must be placed again.
 const STILL_RADII: f64 = 0.002;
-/// So many centres in a row that are too far from the curve show that the vessel goes on there.
-const LOST: usize = 12;
-/// Settled nodes that tell a lost end where it comes from.
+/// This many successive outliers show that the vessel continues there.
+const MAX_OUTLIERS: usize = 12;
+/// Settled nodes that guide the new course of an end.
 const GUIDES: usize = 16;
-/// So many times as stiff as the rest: nodes that stay where they are.
-const HELD: f64 = 1e6;
+/// Stiffness of fixed nodes, in units of the curve's.
+const FIXED_STIFFNESS: f64 = 1e6;
 
-/// A smooth curve through the centres of contours, a node every R/4, that grows at both ends and settles behind them.
+/// A smooth curve through the centres of contours, with a node every R/4, that grows at both ends; nodes behind them are
+/// fixed.
 #[derive(Debug, Clone)]
 pub(super) struct Curve {
     radius_mm: f64,
     pub nodes_mm: Vec<DVec3>,
-    /// Centres about the ends, gathered by the first of them that is within a spacing: their sums and numbers.
+    /// Clusters of the centres about the ends, each within a spacing of its mean: their sums and numbers.
     clusters: Vec<(DVec3, f64)>,
-    /// Nodes that do not move any more.
+    /// Nodes that are fixed.
     settled: Option<Range<usize>>,
-    /// The last centres in a row that were too far away.
-    strays_mm: Vec<DVec3>,
+    /// The last successive outliers.
+    outliers_mm: Vec<DVec3>,
 }
 
-/// What a centre did to the curve.
+/// The change of the curve by a centre.
 #[derive(Debug, PartialEq)]
 pub(super) enum Growth {
     /// It lies too far away.
-    Stray,
-    /// Nothing moved.
+    Outlier,
+    /// No node moved.
     None,
-    /// `before` nodes came in front of the others; then the nodes `moved` have other places or are new.
+    /// `before` nodes were added in front; after that, the nodes `moved` have moved or are new.
     Moved { before: usize, moved: Range<usize> },
 }
 
 impl Curve {
-    /// A curve along points that centres have been found to follow for the lumen's radius at least.
+    /// A curve along points that centres follow for at least the lumen's radius.
     pub fn along(points_mm: &[DVec3], centres_mm: &[DVec3], radius_mm: f64) -> Self {
         let nodes_mm = resampled(points_mm, radius_mm / NODES_PER_RADIUS);
         let mut curve =
-            Self { radius_mm, nodes_mm, clusters: Vec::new(), settled: None, strays_mm: Vec::new() };
-        curve.prolong_front(BEYOND);
-        curve.prolong_back(BEYOND);
+            Self { radius_mm, nodes_mm, clusters: Vec::new(), settled: None, outliers_mm: Vec::new() };
+        curve.extend_front(BEYOND);
+        curve.extend_back(BEYOND);
         centres_mm.iter().for_each(|&centre| curve.gather(centre));
-        curve.nodes_mm = curve.drawn(0..curve.nodes_mm.len());
+        curve.nodes_mm = curve.fitted(0..curve.nodes_mm.len());
         curve.settle();
         curve
     }
 
+    /// Adds a centre to its cluster.
     fn gather(&mut self, centre_mm: DVec3) {
         let distance = |(sum, count): &(DVec3, f64)| centre_mm.distance(*sum / *count);
         let nearest = self.clusters.iter_mut().min_by(|a, b| distance(a).total_cmp(&distance(b)));
@@ -83,23 +86,23 @@ impl Curve {
         (self.nodes_mm.len() - 1) as f64 * self.spacing_mm()
     }
 
-    /// Takes a centre and draws the curve's ends anew where that moves them.
+    /// Adds a centre, and fits the curve's ends again where that moves them.
     pub fn push(&mut self, centre_mm: DVec3) -> Growth {
         let all = 0..self.nodes_mm.len();
-        let place = self.station(centre_mm, all.clone());
+        let place = self.station(centre_mm);
         let on_curve = (0.0..=(all.end - 1) as f64).contains(&place);
-        if !on_curve || self.at_line(place).distance(centre_mm) > STRAY_RADII * self.radius_mm {
-            self.strays_mm.push(centre_mm);
-            return if self.strays_mm.len() < LOST { Growth::Stray } else { self.rejoin() };
+        if !on_curve || self.at_line(place).distance(centre_mm) > OUTLIER_RADII * self.radius_mm {
+            self.outliers_mm.push(centre_mm);
+            return if self.outliers_mm.len() < MAX_OUTLIERS { Growth::Outlier } else { self.rejoin() };
         }
-        self.strays_mm.clear();
+        self.outliers_mm.clear();
         let mut node = place.round() as usize;
-        let astray = self.nodes_mm[node].distance(centre_mm) > ASTRAY_RADII * self.radius_mm;
-        if let Some(settled) = self.settled.as_mut().filter(|_| astray) {
-            // An end that turns out to have gone astray is taken back.
-            if node >= settled.end.saturating_sub(MOST_TAKEN_BACK) {
+        let is_wrong = self.nodes_mm[node].distance(centre_mm) > WRONG_COURSE_RADII * self.radius_mm;
+        if let Some(settled) = self.settled.as_mut().filter(|_| is_wrong) {
+            // The end is released.
+            if node >= settled.end.saturating_sub(MAX_RELEASED) {
                 settled.end = settled.end.min(node.saturating_sub(SETTLED)).max(settled.start + 2);
-            } else if node < settled.start + MOST_TAKEN_BACK {
+            } else if node < settled.start + MAX_RELEASED {
                 settled.start = settled.start.max(node + SETTLED).min(settled.end - 2);
             }
         }
@@ -110,9 +113,9 @@ impl Curve {
         let at_front = self.settled.as_ref().is_some_and(|settled| node < settled.start);
         let old = self.nodes_mm.clone();
         let more = BEYOND.saturating_sub(node);
-        self.prolong_front(more);
+        self.extend_front(more);
         node += more;
-        self.prolong_back((node + BEYOND + 1).saturating_sub(self.nodes_mm.len()));
+        self.extend_back((node + BEYOND + 1).saturating_sub(self.nodes_mm.len()));
 
         let free = match &self.settled {
             None => 0..self.nodes_mm.len(),
@@ -120,24 +123,24 @@ impl Curve {
             Some(settled) => settled.end..self.nodes_mm.len(),
         };
         let mut free = free;
-        let drawn = self.drawn(free.clone());
-        self.nodes_mm[free.clone()].copy_from_slice(&drawn);
+        let fitted = self.fitted(free.clone());
+        self.nodes_mm[free.clone()].copy_from_slice(&fitted);
         if self.settled.is_some() {
             let still = |k: usize| {
                 let was_mm = k.checked_sub(more).and_then(|k| old.get(k));
                 was_mm.is_some_and(|was| was.distance(self.nodes_mm[k]) <= STILL_RADII * self.radius_mm)
             };
-            let held = if at_front {
+            let kept = if at_front {
                 let end = free.clone().rev().find(|&k| !still(k)).map_or(free.start, |k| k + 1);
                 free.end = end;
                 end..self.settled.as_ref().map_or(end, |settled| settled.start)
             } else {
                 let start = free.clone().find(|&k| !still(k)).unwrap_or(free.end);
-                let held = free.start..start;
+                let kept = free.start..start;
                 free.start = start;
-                held
+                kept
             };
-            for k in held {
+            for k in kept {
                 self.nodes_mm[k] = old[k - more];
             }
         }
@@ -155,51 +158,52 @@ impl Curve {
         Growth::Moved { before: more, moved: free }
     }
 
-    /// Leads the end that the catheter left to where it has been since, as the batch would have it. The vessel's
-    /// middle stays: what strays from there is another branch.
+    /// Connects the end that the catheter left with its centres since then, as the sweep of a whole recording would. The
+    /// vessel's middle stays: outliers there belong to another branch.
     fn rejoin(&mut self) -> Growth {
-        let strays_mm = std::mem::take(&mut self.strays_mm);
-        let Some(settled) = self.settled.clone() else { return Growth::Stray };
-        let place = self.station(strays_mm[0], 0..self.nodes_mm.len());
-        let at_back = place >= settled.end.saturating_sub(MOST_TAKEN_BACK) as f64;
-        if !at_back && place > (settled.start + MOST_TAKEN_BACK) as f64 {
-            return Growth::Stray;
+        let outliers_mm = std::mem::take(&mut self.outliers_mm);
+        let Some(settled) = self.settled.clone() else { return Growth::Outlier };
+        let place = self.station(outliers_mm[0]);
+        let at_back = place >= settled.end.saturating_sub(MAX_RELEASED) as f64;
+        if !at_back && place > (settled.start + MAX_RELEASED) as f64 {
+            return Growth::Outlier;
         }
         let old = self.nodes_mm.len();
         if !at_back {
-            self.turn_round();
+            self.reverse();
         }
-        let moved = self.rejoin_back(&strays_mm);
+        let moved = self.rejoin_back(&outliers_mm);
         if !at_back {
-            self.turn_round();
+            self.reverse();
         }
         let all = self.nodes_mm.len();
         match moved {
-            None => Growth::Stray,
+            None => Growth::Outlier,
             Some(moved) if at_back => Growth::Moved { before: 0, moved },
             Some(moved) => Growth::Moved { before: all - old, moved: all - moved.end..all - moved.start },
         }
     }
 
-    fn turn_round(&mut self) {
+    /// Reverses the order of the nodes.
+    fn reverse(&mut self) {
         self.nodes_mm.reverse();
         let all = self.nodes_mm.len();
         self.settled = self.settled.take().map(|settled| all - settled.end..all - settled.start);
     }
 
-    /// The nodes that moved or are new; `None` where centres and curve do not make one line.
-    fn rejoin_back(&mut self, strays_mm: &[DVec3]) -> Option<Range<usize>> {
+    /// Connects the last end; the nodes that moved or are new, or `None` where centres and curve do not form one line.
+    fn rejoin_back(&mut self, outliers_mm: &[DVec3]) -> Option<Range<usize>> {
         let (old, settled) = (self.nodes_mm.len(), self.settled.clone()?);
-        let place = self.station(strays_mm[0], 0..old).min(settled.end as f64) as usize;
-        let end = place.saturating_sub(SETTLED).max(settled.end.saturating_sub(MOST_TAKEN_BACK));
+        let place = self.station(outliers_mm[0]).min(settled.end as f64) as usize;
+        let end = place.saturating_sub(SETTLED).max(settled.end.saturating_sub(MAX_RELEASED));
         let end = end.clamp(settled.start + 2, settled.end.max(settled.start + 2));
         let guides_mm = &self.nodes_mm[end.saturating_sub(GUIDES).max(settled.start)..end];
-        // Centres that have been found since, in the order of the curve.
+        // The clusters beyond, in the order of the curve.
         let mut found: Vec<(f64, DVec3)> = self
             .clusters
             .iter()
             .map(|(sum, count)| *sum / *count)
-            .map(|mean| (self.station(mean, 0..old), mean))
+            .map(|mean| (self.station(mean), mean))
             .filter(|(place, _)| *place > end as f64)
             .collect();
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -207,7 +211,7 @@ impl Curve {
             .iter()
             .copied()
             .chain(found.into_iter().map(|(_, mean)| mean))
-            .chain(strays_mm.iter().copied())
+            .chain(outliers_mm.iter().copied())
             .collect();
         let line_mm = resampled(&centreline(&centres_mm, self.radius_mm)?, self.spacing_mm());
         let from = self.nodes_mm[end - 1];
@@ -218,26 +222,26 @@ impl Curve {
         }
         self.nodes_mm.truncate(end);
         self.nodes_mm.extend(&line_mm[joint + 1..]);
-        let prolonged = (self.nodes_mm.len() + BEYOND).max(old);
-        self.prolong_back(prolonged - self.nodes_mm.len());
+        let extended = (self.nodes_mm.len() + BEYOND).max(old);
+        self.extend_back(extended - self.nodes_mm.len());
         self.settled = Some(settled.start..end);
-        strays_mm.iter().for_each(|&centre| self.gather(centre));
+        outliers_mm.iter().for_each(|&centre| self.gather(centre));
         for _ in 0..2 {
-            let drawn = self.drawn(end..prolonged);
+            let fitted = self.fitted(end..extended);
             self.nodes_mm.truncate(end);
-            self.nodes_mm.extend(drawn);
+            self.nodes_mm.extend(fitted);
         }
-        Some(end..prolonged)
+        Some(end..extended)
     }
 
-    fn prolong_back(&mut self, count: usize) {
+    fn extend_back(&mut self, count: usize) {
         for _ in 0..count {
             let next = beyond(self.nodes_mm.iter().rev());
             self.nodes_mm.push(next);
         }
     }
 
-    fn prolong_front(&mut self, count: usize) {
+    fn extend_front(&mut self, count: usize) {
         for _ in 0..count {
             let next = beyond(self.nodes_mm.iter());
             self.nodes_mm.insert(0, next);
@@ -247,10 +251,10 @@ impl Curve {
         }
     }
 
-    /// Lets the nodes settle that lie well within the centres, and forgets the centres about them.
+    /// Fixes the nodes well within the centres, and forgets the clusters about them.
     fn settle(&mut self) {
         let all = 0..self.nodes_mm.len();
-        let place = |(sum, count): &(DVec3, f64)| self.station(*sum / *count, all.clone());
+        let place = |(sum, count): &(DVec3, f64)| self.station(*sum / *count);
         let places: Vec<f64> = self.clusters.iter().map(place).collect();
         let settled = (BEYOND + SETTLED)..(all.end - BEYOND).saturating_sub(SETTLED);
         self.settled = match self.settled.take() {
@@ -258,16 +262,16 @@ impl Curve {
             None => (settled.start + 2 <= settled.end).then_some(settled),
         };
         if let Some(settled) = &self.settled {
-            // The next ones are needed where an end is taken back.
-            let (low, high) = (settled.start + MOST_TAKEN_BACK, settled.end.saturating_sub(MOST_TAKEN_BACK));
+            // The next ones are needed where an end is released.
+            let (low, high) = (settled.start + MAX_RELEASED, settled.end.saturating_sub(MAX_RELEASED));
             let mut places = places.into_iter();
             self.clusters.retain(|_| places.next().is_none_or(|p| p < low as f64 || p > high as f64));
         }
     }
 
-    /// Places of the nodes `free` with all others held: the minimum of `Σ|pᵢ - c(sᵢ)|² + λ Σ|Δ²c|²` over the mean
-    /// centres pᵢ, then moved along the curve to even distances.
-    fn drawn(&self, free: Range<usize>) -> Vec<DVec3> {
+    /// Positions of the nodes `free` with all others fixed: the minimum of `Σ|pᵢ - c(sᵢ)|² + λ Σ|Δ²c|²` over the clusters'
+    /// means pᵢ, then moved along the curve to even distances.
+    fn fitted(&self, free: Range<usize>) -> Vec<DVec3> {
         let window = free.start.saturating_sub(2)..(free.end + 2).min(self.nodes_mm.len());
         let mut equations = Pentadiagonal::second_differences(window.len(), SMOOTHNESS);
         let mut right = vec![DVec3::ZERO; window.len()];
@@ -275,7 +279,7 @@ impl Curve {
         let places: Vec<(usize, f64, DVec3)> = self
             .clusters
             .iter()
-            .map(|(sum, count)| (*sum / *count, self.station(*sum / *count, 0..self.nodes_mm.len())))
+            .map(|(sum, count)| (*sum / *count, self.station(*sum / *count)))
             .filter(|(_, place)| (low..=high).contains(place))
             .map(|(mean, place)| {
                 let row = ((place - low) as usize).min(window.len() - 2);
@@ -293,27 +297,28 @@ impl Curve {
             right[row + 1] += mean * (weight * share);
         }
         for node in window.clone().filter(|node| !free.contains(node)) {
-            equations.add_diagonal(node - window.start, HELD * SMOOTHNESS);
-            right[node - window.start] += self.nodes_mm[node] * (HELD * SMOOTHNESS);
+            equations.add_diagonal(node - window.start, FIXED_STIFFNESS * SMOOTHNESS);
+            right[node - window.start] += self.nodes_mm[node] * (FIXED_STIFFNESS * SMOOTHNESS);
         }
         let Some(factored) = equations.factored() else { return self.nodes_mm[free].to_vec() };
-        let drawn = factored.solve(right);
-        // From a node that is held, where there is one.
+        let solution = factored.solve(right);
+        // From a fixed node, where there is one.
         if free.end < window.end {
-            let back: Vec<DVec3> = drawn[..=free.end - window.start].iter().rev().copied().collect();
+            let back: Vec<DVec3> = solution[..=free.end - window.start].iter().rev().copied().collect();
             let mut even = evenly(&back, self.spacing_mm(), free.len());
             even.reverse();
             even
         } else if free.start > window.start {
-            evenly(&drawn[free.start - 1 - window.start..], self.spacing_mm(), free.len())
+            evenly(&solution[free.start - 1 - window.start..], self.spacing_mm(), free.len())
         } else {
-            // From the first centre, so that the curve goes on before it as far as behind the last.
+            // From the first centre, so that the curve extends as far before it as behind the last.
             let first = places.iter().map(|(row, share, _)| *row as f64 + share).fold(high, f64::min);
-            let row = (first as usize).min(drawn.len() - 2);
-            let anchor = drawn[row].lerp(drawn[row + 1], first - row as f64);
+            let row = (first as usize).min(solution.len() - 2);
+            let anchor = solution[row].lerp(solution[row + 1], first - row as f64);
             let front: Vec<DVec3> =
-                std::iter::once(anchor).chain(drawn[..=row].iter().rev().copied()).collect();
-            let back: Vec<DVec3> = std::iter::once(anchor).chain(drawn[row + 1..].iter().copied()).collect();
+                std::iter::once(anchor).chain(solution[..=row].iter().rev().copied()).collect();
+            let back: Vec<DVec3> =
+                std::iter::once(anchor).chain(solution[row + 1..].iter().copied()).collect();
             let mut even = evenly(&front, self.spacing_mm(), BEYOND);
             even.reverse();
             even.push(anchor);
@@ -322,32 +327,19 @@ impl Curve {
         }
     }
 
-    /// Where along some of the nodes, counted in nodes, a point is nearest; their end segments are prolonged.
-    fn station(&self, point: DVec3, nodes: Range<usize>) -> f64 {
-        let last = nodes.end - 2;
-        let (mut best, mut station) = (f64::INFINITY, nodes.start as f64);
-        for k in nodes.start..nodes.end - 1 {
-            let (a, along) = (self.nodes_mm[k], self.nodes_mm[k + 1] - self.nodes_mm[k]);
-            let low = if k == nodes.start { f64::NEG_INFINITY } else { 0.0 };
-            let high = if k == last { f64::INFINITY } else { 1.0 };
-            let share =
-                ((point - a).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(low, high);
-            let distance = point.distance_squared(a + along * share);
-            if distance < best {
-                best = distance;
-                station = k as f64 + share;
-            }
-        }
-        station
+    /// The place along the curve, counted in nodes, that is nearest to a point; the end segments are extended.
+    fn station(&self, point: DVec3) -> f64 {
+        nearest(&self.nodes_mm, point).map_or(0.0, |(node, share)| node as f64 + share)
     }
 
+    /// The point of the polyline over the nodes.
     fn at_line(&self, place: f64) -> DVec3 {
         let node = (place.max(0.0) as usize).min(self.nodes_mm.len() - 2);
         self.nodes_mm[node].lerp(self.nodes_mm[node + 1], place - node as f64)
     }
 
-    /// Point and unit tangent of the uniform cubic B-spline over the nodes, `place` counted in nodes. It is
-    /// smooth and a node moves it no farther than two nodes away.
+    /// Point and unit tangent of the uniform cubic B-spline over the nodes, `place` counted in nodes. A node moves it no
+    /// farther than two nodes away.
     pub fn at(&self, place: f64) -> (DVec3, DVec3) {
         let last = self.nodes_mm.len() - 1;
         let k = (place.max(0.0) as usize).min(last - 1);
@@ -369,7 +361,7 @@ impl Curve {
     }
 }
 
-/// The point as far beyond the first of two as the second lies behind it.
+/// The mirror image of the second of two points about the first.
 fn beyond<'a>(mut points: impl Iterator<Item = &'a DVec3>) -> DVec3 {
     match (points.next(), points.next()) {
         (Some(&end), Some(&inner)) => end * 2.0 - inner,
@@ -377,8 +369,8 @@ fn beyond<'a>(mut points: impl Iterator<Item = &'a DVec3>) -> DVec3 {
     }
 }
 
-/// `count` points along a polyline at equal distances from its first point, which is not among them; straight on beyond
-/// its end.
+/// `count` points along a polyline at equal distances from its first point, which is not among them; straight beyond its
+/// end.
 fn evenly(line: &[DVec3], spacing: f64, count: usize) -> Vec<DVec3> {
     let mut points = Vec::with_capacity(count);
     let (mut segment, mut passed) = (0, 0.0);

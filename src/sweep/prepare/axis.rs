@@ -1,14 +1,14 @@
-//! The swept axis: a smooth curve with frames that do not turn about it, and the coordinates about it.
+//! The swept axis: a smooth curve with rotation-minimising frames, and the coordinates about it.
 
-use super::centreline::lengths;
-use crate::geometry::rotation_minimising_frames;
+use crate::geometry::polyline::lengths;
+use crate::geometry::{NaturalSpline, rotation_minimising_frames};
 use glam::{DMat3, DVec3};
 use std::f64::consts::TAU;
 
-/// The curve that a section is swept along: ring k lies in the plane through `points_mm[k]` across `frames[k].z_axis`.
+/// The curve that a section is swept along: ring k lies in the plane through `points_mm[k]` normal to `frames[k].z_axis`.
 ///
-/// Between two rings, plane, origin and axes go over linearly. That makes coordinates about the axis one to one and
-/// without jumps wherever the wall is nearer to the axis than the axis's centre of curvature.
+/// Between two rings, plane, origin and axes are interpolated linearly. Coordinates about the axis are therefore one-to-one
+/// and continuous wherever the wall is nearer to the axis than the axis's centre of curvature.
 #[derive(Debug, Clone)]
 pub struct Axis {
     /// Origins of the rings, mm.
@@ -19,7 +19,7 @@ pub struct Axis {
     pub step_mm: f64,
 }
 
-/// Where a point is about the axis.
+/// The coordinates of a point about the axis.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::sweep) struct Place {
     /// Along the axis, in rings.
@@ -30,14 +30,14 @@ pub(in crate::sweep) struct Place {
     pub radius_mm: f64,
     /// Unit vectors there: away from the axis, about it, along it.
     pub directions: DMat3,
-    /// How long a millimetre of the axis is there: less than one on the inside of a bend.
+    /// Length there of a millimetre of the axis: less than one on the inside of a bend.
     pub stretch: f64,
 }
 
 impl Axis {
-    /// An axis along `centreline_mm`, a ring about every `step_mm`, prolonged straight at both ends by `beyond_mm`.
+    /// An axis along `centreline_mm`, a ring about every `step_mm`, extended straight at both ends by `beyond_mm`.
     pub(in crate::sweep) fn along(centreline_mm: &[DVec3], step_mm: f64, beyond_mm: f64) -> Self {
-        let curve = Spline::through(centreline_mm);
+        let curve = NaturalSpline::through(centreline_mm, lengths(centreline_mm));
         let length = curve.length();
         let count = (((length + 2.0 * beyond_mm) / step_mm).round() as usize).max(4);
         let step = (length + 2.0 * beyond_mm) / count as f64;
@@ -60,12 +60,12 @@ impl Axis {
         })
     }
 
-    /// Coordinates of a point, looked for from ring `near` on; `None` before the first and behind the last ring.
+    /// Coordinates of a point; the search starts at ring `near`. `None` before the first and behind the last ring.
     pub(in crate::sweep) fn place(&self, point_mm: DVec3, near: usize) -> Option<Place> {
         let ahead = |k: usize| (point_mm - self.points_mm[k]).dot(self.frames[k].z_axis);
         let last = self.rings() - 2;
         let mut k = near.min(last);
-        // Walks one way only, so it ends.
+        // It moves in one direction only, so it ends.
         if ahead(k) < 0.0 {
             while ahead(k) < 0.0 {
                 k = k.checked_sub(1)?;
@@ -100,7 +100,7 @@ impl Axis {
             theta_rad: if theta_rad < TAU { theta_rad } else { 0.0 },
             radius_mm,
             directions: DMat3::from_cols(outwards, y * cos - x * sin, z),
-            // Behind a centre of curvature coordinates fold over; there is no wall there.
+            // Behind a centre of curvature the coordinates fold over; no wall can lie there.
             stretch: (1.0 - turn.dot(outwards) / self.step_mm * radius_mm).max(0.3),
         })
     }
@@ -129,53 +129,6 @@ impl Axis {
         let below = (ring.max(0.0) as usize).min(self.rings() - 2);
         let point = |ring: usize| self.point_mm(ring, theta_rad, radius_mm);
         point(below).lerp(point(below + 1), ring - below as f64)
-    }
-}
-
-/// A natural cubic spline through points, by the length of their polyline.
-struct Spline<'a> {
-    points: &'a [DVec3],
-    lengths: Vec<f64>,
-    /// Second derivatives at the points.
-    bends: Vec<DVec3>,
-}
-
-impl<'a> Spline<'a> {
-    fn through(points: &'a [DVec3]) -> Self {
-        let lengths = lengths(points);
-        let count = points.len();
-        let mut bends = vec![DVec3::ZERO; count];
-        // Thomas algorithm for the continuity of the first derivative; the matrix is diagonally dominant.
-        let mut upper = vec![0.0; count];
-        for i in 1..count.saturating_sub(1) {
-            let (before, after) = (lengths[i] - lengths[i - 1], lengths[i + 1] - lengths[i]);
-            let jump = (points[i + 1] - points[i]) / after - (points[i] - points[i - 1]) / before;
-            let pivot = (before + after) / 3.0 - before / 6.0 * upper[i - 1];
-            upper[i] = after / 6.0 / pivot;
-            bends[i] = (jump - bends[i - 1] * (before / 6.0)) / pivot;
-        }
-        for i in (1..count.saturating_sub(1)).rev() {
-            bends[i] = bends[i] - bends[i + 1] * upper[i];
-        }
-        Self { points, lengths, bends }
-    }
-
-    fn length(&self) -> f64 {
-        self.lengths[self.lengths.len() - 1]
-    }
-
-    /// Point and unit tangent at length `s`, straight on beyond the ends.
-    fn at(&self, s: f64) -> (DVec3, DVec3) {
-        let inside = s.clamp(0.0, self.length());
-        let k = self.lengths.partition_point(|&l| l <= inside).clamp(1, self.points.len() - 1) - 1;
-        let h = self.lengths[k + 1] - self.lengths[k];
-        let b = (inside - self.lengths[k]) / h;
-        let a = 1.0 - b;
-        let (p, q, m, n) = (self.points[k], self.points[k + 1], self.bends[k], self.bends[k + 1]);
-        let point = p * a + q * b + (m * (a * a * a - a) + n * (b * b * b - b)) * (h * h / 6.0);
-        let slope = (q - p) / h + (n * (3.0 * b * b - 1.0) - m * (3.0 * a * a - 1.0)) * (h / 6.0);
-        let tangent = slope.normalize_or(DVec3::Z);
-        (point + tangent * (s - inside), tangent)
     }
 }
 

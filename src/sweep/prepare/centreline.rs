@@ -1,31 +1,33 @@
 //! The vessel's centreline, from the contours' centres.
 //!
-//! A catheter that stops, circles and goes back draws a tangle of frames, but the centres of its contours stay near
-//! the vessel's axis. So: the centres are gathered into clusters, the clusters joined where they touch, the longest of
-//! all shortest paths taken, and a penalised smooth curve drawn through the centres along it.
+//! A catheter that stops, circles and goes back makes a tangle of frames, but the centres of its contours stay near
+//! the vessel's axis. The centres are grouped into clusters and the clusters connected where they touch; along the longest
+//! of all shortest paths, a penalised smooth curve is fitted to the centres.
 
+use crate::geometry::polyline::{lengths, resampled, station};
 use crate::numerics::banded::Pentadiagonal;
+use crate::numerics::robust::median;
 use glam::DVec3;
 
-/// Clusters within so many cluster radii of each other touch.
+/// Clusters within this many cluster radii of each other touch.
 const TOUCH: f64 = 1.7;
 /// Centreline nodes per median lumen radius.
 pub(in crate::sweep) const NODES_PER_RADIUS: f64 = 4.0;
-/// Bends of the centres that are shorter than so many lumen radii are left to the wall.
-const SHORTEST_BEND_RADII: f64 = 2.0;
-/// λ of the curve: the wavelength at which one with a centre a node loses a fifth of its amplitude.
+/// Bends of the centres that are shorter than this many lumen radii are left to the wall.
+const MIN_BEND_RADII: f64 = 2.0;
+/// λ of the curve: with one centre per node, a bend of the shortest wavelength loses a fifth of its amplitude.
 pub(in crate::sweep) const SMOOTHNESS: f64 = {
-    let wavelength = SHORTEST_BEND_RADII * NODES_PER_RADIUS / std::f64::consts::TAU;
+    let wavelength = MIN_BEND_RADII * NODES_PER_RADIUS / std::f64::consts::TAU;
     let square = wavelength * wavelength;
     4.0 * (square * square)
 };
-/// How often centres are projected on the curve and the curve drawn anew.
+/// How often the centres are projected onto the curve and the curve is fitted again.
 const ROUNDS: usize = 4;
 /// Robust reweightings in each round.
 const REWEIGHTINGS: usize = 5;
 
-/// A smooth curve through `centres_mm`, as points at equal steps of its length up to a percent; `None` where
-/// the centres cover no length. `radius_mm` is the lumen's, and the scale of all that is done.
+/// A smooth curve through `centres_mm`, as points at equal steps of its length to within a percent; `None` where the
+/// centres cover no length. The lumen's radius `radius_mm` sets the scale.
 pub(in crate::sweep) fn centreline(centres_mm: &[DVec3], radius_mm: f64) -> Option<Vec<DVec3>> {
     let mut curve = principal_path(centres_mm, radius_mm);
     if curve.len() < 2 {
@@ -41,7 +43,7 @@ pub(in crate::sweep) fn centreline(centres_mm: &[DVec3], radius_mm: f64) -> Opti
 fn principal_path(centres: &[DVec3], radius: f64) -> Vec<DVec3> {
     let (clusters, of_centre) = clusters(centres, radius);
     let count = clusters.len();
-    // A catheter moves on without jumps: clusters of successive frames are joined however far apart they are.
+    // A catheter moves without jumps: clusters of successive frames are connected however far apart they are.
     let mut neighbours: Vec<Vec<usize>> = (0..count)
         .map(|a| {
             (0..count).filter(|&b| b != a && clusters[a].distance(clusters[b]) < TOUCH * radius).collect()
@@ -70,7 +72,7 @@ fn principal_path(centres: &[DVec3], radius: f64) -> Vec<DVec3> {
     path.into_iter().map(|k| clusters[k]).collect()
 }
 
-/// Centres gathered by the first of them that is within `radius`: the clusters' means, and each centre's cluster.
+/// Centres grouped with the nearest cluster seed within `radius`: the clusters' means, and each centre's cluster.
 fn clusters(centres: &[DVec3], radius: f64) -> (Vec<DVec3>, Vec<usize>) {
     let (mut seeds, mut sums): (Vec<DVec3>, Vec<(DVec3, f64)>) = Default::default();
     let mut of_centre = Vec::with_capacity(centres.len());
@@ -90,7 +92,7 @@ fn clusters(centres: &[DVec3], radius: f64) -> (Vec<DVec3>, Vec<usize>) {
     (sums.into_iter().map(|(sum, n)| sum / n).collect(), of_centre)
 }
 
-/// Dijkstra's algorithm: distances from `start`, and the cluster before each one on its way.
+/// Dijkstra's algorithm: distances from `start`, and the predecessor of each cluster on its path.
 fn shortest_paths(
     clusters: &[DVec3],
     neighbours: &[Vec<usize>],
@@ -116,37 +118,10 @@ fn shortest_paths(
     (distance, before)
 }
 
-/// Points of a polyline at equal steps of its length, about `step` apart, both ends among them.
-pub(in crate::sweep) fn resampled(curve: &[DVec3], step: f64) -> Vec<DVec3> {
-    let lengths = lengths(curve);
-    let total = lengths[lengths.len() - 1];
-    let count = ((total / step).ceil() as usize).max(2);
-    let mut segment = 0;
-    (0..=count)
-        .map(|i| {
-            let s = total * i as f64 / count as f64;
-            while segment + 2 < curve.len() && lengths[segment + 1] < s {
-                segment += 1;
-            }
-            let span = lengths[segment + 1] - lengths[segment];
-            let share = if span > 0.0 { (s - lengths[segment]) / span } else { 0.0 };
-            curve[segment].lerp(curve[segment + 1], share.clamp(0.0, 1.0))
-        })
-        .collect()
-}
-
-/// Length of a polyline up to each of its points.
-pub(in crate::sweep) fn lengths(curve: &[DVec3]) -> Vec<f64> {
-    let mut lengths = vec![0.0; curve.len()];
-    for i in 1..curve.len() {
-        lengths[i] = lengths[i - 1] + curve[i].distance(curve[i - 1]);
-    }
-    lengths
-}
-
-/// The curve c that minimises `Σ wᵢ|pᵢ - c(sᵢ)|² + λ Σ|c'' |²`, sᵢ being where the curve so far is nearest to centre pᵢ.
+/// The curve c that minimises `Σ wᵢ|pᵢ - c(sᵢ)|² + λ Σ|c'' |²`, sᵢ being the station of the previous curve
+/// nearest to centre pᵢ.
 ///
-/// Weights even out the time that the catheter spent at each place, and lower centres far off (Cauchy).
+/// Weights compensate for the time that the catheter spent at each place, and decrease for distant centres (Cauchy).
 fn smoothed(curve: &[DVec3], centres: &[DVec3], radius: f64) -> Option<Vec<DVec3>> {
     let lengths = lengths(curve);
     let stations: Vec<f64> = centres.iter().map(|&p| station(curve, &lengths, p)).collect();
@@ -183,34 +158,15 @@ fn smoothed(curve: &[DVec3], centres: &[DVec3], radius: f64) -> Option<Vec<DVec3
             right[node + 1] += centre * (w * share);
         }
         nodes_mm = equations.factored()?.solve(right);
-        let misses: Vec<f64> = places
+        let distances: Vec<f64> = places
             .iter()
             .zip(centres)
             .map(|(&(node, share), p)| p.distance(nodes_mm[node].lerp(nodes_mm[node + 1], share)))
             .collect();
-        let scale = 1.5 * crate::sweep::median(&mut misses.clone()) + 1e-9 * radius;
-        weights = misses.iter().map(|miss| (miss / scale).max(1.0).powi(-2)).collect();
+        let scale = 1.5 * median(&mut distances.clone()) + 1e-9 * radius;
+        weights = distances.iter().map(|distance| (distance / scale).max(1.0).powi(-2)).collect();
     }
     Some(nodes_mm)
-}
-
-/// Where along a polyline a point is nearest; beyond its ends the end segments are prolonged.
-fn station(curve: &[DVec3], lengths: &[f64], point: DVec3) -> f64 {
-    let last = curve.len() - 2;
-    let (mut best, mut station) = (f64::INFINITY, 0.0);
-    for (k, pair) in curve.windows(2).enumerate() {
-        let along = pair[1] - pair[0];
-        let low = if k == 0 { f64::NEG_INFINITY } else { 0.0 };
-        let high = if k == last { f64::INFINITY } else { 1.0 };
-        let share =
-            ((point - pair[0]).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(low, high);
-        let distance = point.distance_squared(pair[0] + along * share);
-        if distance < best {
-            best = distance;
-            station = lengths[k] + share * along.length();
-        }
-    }
-    station
 }
 
 #[cfg(test)]

@@ -1,11 +1,12 @@
-//! What a single contour says: its points without wrong echoes, and whether radii about its centre can hold it.
+//! The outline of a single contour: its points without wrong echoes, and whether it is star-shaped about its centre.
 
+use crate::numerics::robust::median;
 use crate::recording::Frame;
-use crate::sweep::median;
+use crate::{Error, Result};
 use glam::DVec2;
 use std::f64::consts::TAU;
 
-/// The lumen as a frame's contour draws it, without wrong echoes and noise.
+/// The lumen's outline in a frame, without wrong echoes and noise.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::sweep) struct Outline {
     /// Centroid of its area in the probe's plane, mm.
@@ -19,7 +20,7 @@ pub(in crate::sweep) struct Outline {
 }
 
 impl Outline {
-    /// `None` of a contour that goes round no area.
+    /// `None` for a contour that encloses no area.
     pub(in crate::sweep) fn of(frame: &Frame) -> Option<Self> {
         let points = without_spikes(&frame.contour_mm);
         let noise_mm = noise_mm(&points);
@@ -33,13 +34,13 @@ impl Outline {
     }
 }
 
-/// Points on either side that a point is compared with: wrong echoes come alone or in twos and threes.
+/// Points on either side that a point is compared with: wrong echoes occur alone or in twos and threes.
 const NEIGHBOURS: usize = 4;
-/// Points farther from the median of their neighbourhood than so many times what is usual are wrong echoes.
-const FARTHEST: f64 = 6.0;
+/// Points farther from the median of their neighbourhood than this many times the usual distance are wrong echoes.
+const MAX_DISTANCES: f64 = 6.0;
 
-/// The echoes of a contour in ray order, without those far from the median of the points about them: one spike of the
-/// length of a probe's range moves the centroid of a small lumen by more than its radius.
+/// The echoes of a contour in ray order, without those far from the median of their neighbours: one spike as long as the
+/// probe's range moves the centroid of a small lumen by more than its radius.
 fn without_spikes(contour_mm: &[DVec2]) -> Vec<DVec2> {
     let points: Vec<DVec2> = contour_mm.iter().copied().filter(|p| !p.is_nan()).collect();
     let count = points.len();
@@ -54,20 +55,20 @@ fn without_spikes(contour_mm: &[DVec2]) -> Vec<DVec2> {
         window.sort_unstable_by(f64::total_cmp);
         window[NEIGHBOURS]
     };
-    let misses: Vec<f64> =
+    let distances: Vec<f64> =
         (0..count).map(|i| points[i].distance(DVec2::new(middle(i, |p| p.x), middle(i, |p| p.y)))).collect();
-    // Where a contour bends, the median of 9 points of it is as far off as the contour is long between them.
+    // Where a contour bends, the median of 9 points may be as far from it as they are from each other.
     let mut steps: Vec<f64> = (0..count).map(|i| points[i].distance(points[(i + 1) % count])).collect();
-    let most = FARTHEST * median(&mut misses.clone()) + NEIGHBOURS as f64 * median(&mut steps);
-    points.into_iter().zip(misses).filter(|(_, miss)| *miss <= most).map(|(p, _)| p).collect()
+    let max = MAX_DISTANCES * median(&mut distances.clone()) + NEIGHBOURS as f64 * median(&mut steps);
+    points.into_iter().zip(distances).filter(|(_, distance)| *distance <= max).map(|(p, _)| p).collect()
 }
 
-/// Folded shares up to this are borne: the carina of a bifurcation pokes past the centre of the contour about it.
-pub(in crate::sweep) const MOST_FOLDED: f64 = 0.2;
+/// Largest accepted folded share: the carina of a bifurcation may reach past the centre of the contour about it.
+pub(in crate::sweep) const MAX_FOLDED: f64 = 0.2;
 
 /// Standard deviation of a closed contour's points in either direction, mm.
 ///
-/// Fourth differences of noise have seventy times its variance; those of a smooth curve are next to nothing.
+/// Fourth differences of noise have seventy times its variance; those of a smooth curve are almost 0.
 fn noise_mm(points: &[DVec2]) -> f64 {
     let count = points.len();
     let around = |i: usize| points[i % count];
@@ -75,20 +76,20 @@ fn noise_mm(points: &[DVec2]) -> f64 {
         .map(|i| around(i) + around(i + 4) - (around(i + 1) + around(i + 3)) * 4.0 + around(i + 2) * 6.0)
         .map(DVec2::length)
         .collect();
-    // Of two normal numbers of variance one, the median length is 1.18.
+    // The median length of a vector of two standard normal numbers is 1.18.
     median(&mut bends) / 1.18 / 70.0_f64.sqrt()
 }
 
-/// A closed contour without its noise: points averaged with as many neighbours as their noise asks for, none where there
-/// is none. Noise makes a contour of many points cross itself all along, and what it goes round has no centre.
+/// A closed contour without its noise: each point is averaged with a number of neighbours that grows with the noise, none
+/// without noise. Noise makes a contour of many points cross itself everywhere, so that its area has no centre.
 fn smoothed(points: &[DVec2], noise: f64) -> Vec<DVec2> {
     let count = points.len();
     if count < 3 {
         return points.to_vec();
     }
     let around = |i: usize, offset: usize| points[(i + offset) % count];
-    // From point to point the mean of 2h + 1 points moves by noise·√2/(2h + 1); the contour, if it were a circle, by its
-    // length over the number of points. Let the former be a quarter of the latter.
+    // From point to point, noise moves the mean of 2h + 1 points by noise·√2/(2h + 1); a circle advances by its length
+    // over the number of points. The window makes the former a quarter of the latter.
     let mean = points.iter().sum::<DVec2>() / count as f64;
     let radius = (points.iter().map(|p| p.distance_squared(mean)).sum::<f64>() / count as f64).sqrt();
     let step = radius * TAU / count as f64;
@@ -96,15 +97,15 @@ fn smoothed(points: &[DVec2], noise: f64) -> Vec<DVec2> {
     let reach = ((width - 1.0) / 2.0).ceil().clamp(0.0, count as f64 / 8.0) as usize;
     let width = (2 * reach + 1) as f64;
     let window = |i: usize| (0..=2 * reach).map(move |k| around(i, count - reach + k));
-    // Such means of a circle's points lie on a circle that is smaller by this.
+    // Such means of a circle's points lie on a circle that is smaller by this factor.
     let half = TAU / count as f64 / 2.0;
     let shrink = (width * half).sin() / (width * half.sin());
     (0..count).map(|i| mean + (window(i).sum::<DVec2>() / width - mean) / shrink).collect()
 }
 
-/// By how much a contour turns back about its centroid: the area swept backwards by the ray from there to the contour,
-/// as a share of that swept forwards. 0 where the lumen is star-shaped about it: every ray from there meets the wall
-/// once.
+/// How much a contour turns back about its centroid: the area that the ray from there to the contour sweeps backwards, as
+/// a share of the area that it sweeps forwards. 0 where the lumen is star-shaped about the centroid: every ray from there
+/// meets the wall once.
 fn folded_share(contour_mm: &[DVec2], centroid_mm: DVec2) -> f64 {
     let next = contour_mm.iter().cycle().skip(1);
     let (mut forwards, mut backwards) = (0.0, 0.0);
@@ -113,6 +114,31 @@ fn folded_share(contour_mm: &[DVec2], centroid_mm: DVec2) -> f64 {
         if area > 0.0 { forwards += area } else { backwards -= area }
     }
     forwards.min(backwards) / forwards.max(backwards).max(f64::MIN_POSITIVE)
+}
+
+/// The frames whose contours are not star-shaped about their centres.
+pub(in crate::sweep) fn folded_frames(outlines: &[Option<Outline>]) -> Result<Vec<usize>> {
+    let share = |k: usize| outlines[k].map_or(0.0, |outline| outline.folded_share);
+    let folded: Vec<usize> = (0..outlines.len()).filter(|&k| share(k) > MAX_FOLDED).collect();
+    let with_outline = outlines.iter().flatten().count();
+    match folded.first() {
+        Some(&frame) if 2 * folded.len() > with_outline => Err(Error::Frame {
+            frame,
+            field: "contour",
+            found: format!(
+                "one that turns back about its centre ({:.0} % of the area that it goes round), as do {} of {with_outline}",
+                100.0 * share(frame),
+                folded.len()
+            ),
+            expected: "star-shaped lumens: every ray from the centre meets the wall once".into(),
+        }),
+        _ => Ok(folded),
+    }
+}
+
+/// Wall points of all contours.
+pub(in crate::sweep) fn echo_count(contours_mm: &[&[DVec2]]) -> usize {
+    contours_mm.iter().map(|contour_mm| contour_mm.iter().filter(|p| !p.is_nan()).count()).sum()
 }
 
 #[cfg(test)]
@@ -179,7 +205,7 @@ mod tests {
         // Points 0.16 mm apart that noise moves by up to three times that.
         for noise in [0.05, 0.2, 0.5] {
             let share = share(&contour(|_| 3.0, noise));
-            assert!(share < MOST_FOLDED / 4.0, "{noise}: {share}");
+            assert!(share < MAX_FOLDED / 4.0, "{noise}: {share}");
         }
     }
 
@@ -187,9 +213,9 @@ mod tests {
     fn a_horseshoe_is_folded_whichever_way_it_is_drawn() {
         for angle in [4.0, 5.0, 6.0] {
             let mut contour = horseshoe(angle);
-            assert!(share(&contour) > MOST_FOLDED, "{angle}: {}", share(&contour));
+            assert!(share(&contour) > MAX_FOLDED, "{angle}: {}", share(&contour));
             contour.reverse();
-            assert!(share(&contour) > MOST_FOLDED, "{angle}");
+            assert!(share(&contour) > MAX_FOLDED, "{angle}");
         }
     }
 

@@ -1,5 +1,121 @@
-//! From contours and poses to the axis that the wall is swept along.
+//! From contours and poses to the axis, the grid and the echoes of a vessel.
 
 pub(in crate::sweep) mod axis;
 pub(in crate::sweep) mod centreline;
 pub(in crate::sweep) mod contour;
+pub(in crate::sweep) mod echo;
+pub(in crate::sweep) mod grid;
+pub(in crate::sweep) mod noise;
+pub(in crate::sweep) mod resolution;
+
+use crate::geometry::Pose;
+use crate::geometry::polyline::lengths;
+use crate::numerics::robust::median;
+use crate::recording::{Frame, Recording};
+use crate::settings::Settings;
+use crate::{Error, Result};
+use axis::Axis;
+use centreline::centreline;
+use contour::{Outline, echo_count, folded_frames};
+use echo::{Echo, age, placed};
+use glam::{DVec2, DVec3};
+use grid::WallGrid;
+use noise::tangential_noise_mm;
+use rayon::prelude::*;
+use resolution::resolution;
+
+/// The axis extends beyond the centreline by this many contour radii at both ends: echoes of tilted frames lie there.
+const BEYOND_RADII: f64 = 1.5;
+
+/// A recording with the axis and the grid of its vessel: the input to the fit of the wall.
+pub(in crate::sweep) struct Prepared<'a> {
+    pub frames: &'a [Frame],
+    /// The contours, frame by frame; empty for a frame that is left out.
+    contours_mm: Vec<&'a [DVec2]>,
+    /// Frames that are left out, since their contours are not star-shaped about their centres.
+    pub folded_frames: Vec<usize>,
+    /// Median radius of the contours, mm.
+    pub contour_radius_mm: f64,
+    pub axis: Axis,
+    pub grid: WallGrid,
+    sensor_from_probe: Pose,
+    half_life_s: Option<f64>,
+}
+
+impl<'a> Prepared<'a> {
+    /// Finds the axis of a recording that passes [`Recording::check`].
+    ///
+    /// # Errors
+    /// Where most contours are not star-shaped, they cover no length of a vessel, or the settings ask for too many nodes.
+    pub(in crate::sweep) fn of(recording: &'a Recording, settings: &Settings) -> Result<Self> {
+        let frames = &recording.frames;
+        let sensor_from_probe = settings.calibration.sensor_from_probe();
+        let mut outlines: Vec<Option<Outline>> = frames.par_iter().map(Outline::of).collect();
+        let folded_frames = folded_frames(&outlines)?;
+        let mut contours_mm: Vec<&[DVec2]> = frames.iter().map(|frame| &frame.contour_mm[..]).collect();
+        for &k in &folded_frames {
+            outlines[k] = None;
+            contours_mm[k] = &[];
+        }
+        let contour_radius_mm =
+            median(&mut outlines.iter().flatten().map(|o| o.radius_mm).collect::<Vec<_>>());
+        let centres_mm: Vec<DVec3> = outlines
+            .iter()
+            .zip(frames)
+            .filter_map(|(outline, frame)| {
+                let pose = frame.world_from_sensor * sensor_from_probe;
+                Some(pose.transform_point(outline.as_ref()?.centre_mm.extend(0.0)))
+            })
+            .collect();
+        let curve = (contour_radius_mm > 0.0).then(|| centreline(&centres_mm, contour_radius_mm)).flatten();
+        let Some(curve) = curve else {
+            return Err(Error::Frame {
+                frame: 0,
+                field: "centreline",
+                found: format!("contours in {} frames that cover no length", centres_mm.len()),
+                expected: "contours along at least a lumen's radius of the vessel".into(),
+            });
+        };
+        let length_mm = lengths(&curve).last().copied().unwrap_or(0.0);
+        let noise_mm = median(&mut outlines.iter().flatten().map(|o| o.noise_mm).collect::<Vec<_>>());
+        let (nodes, step_mm) = resolution(&contours_mm, length_mm, contour_radius_mm, noise_mm, settings)?;
+        let axis = Axis::along(&curve, step_mm, BEYOND_RADII * contour_radius_mm);
+        let grid = WallGrid::new(axis.rings(), nodes, axis.step_mm, contour_radius_mm);
+        let half_life_s = settings.sweep.half_life_s;
+        Ok(Self {
+            frames,
+            contours_mm,
+            folded_frames,
+            contour_radius_mm,
+            axis,
+            grid,
+            sensor_from_probe,
+            half_life_s,
+        })
+    }
+
+    /// The recorded poses of the sensor.
+    pub(in crate::sweep) fn sensors(&self) -> Vec<Pose> {
+        self.frames.iter().map(|frame| frame.world_from_sensor).collect()
+    }
+
+    /// The echoes about the axis, sorted along it, for poses of the sensor; those beyond the axis's ends are left out.
+    pub(in crate::sweep) fn echoes(&self, sensors: &[Pose]) -> Vec<Echo> {
+        let poses: Vec<Pose> = sensors.iter().map(|&sensor| sensor * self.sensor_from_probe).collect();
+        let mut echoes = placed(self.frames, &self.contours_mm, &poses, &self.axis, self.grid.nodes);
+        if let Some(half_life_s) = self.half_life_s {
+            age(&mut echoes, self.frames, half_life_s);
+        }
+        echoes
+    }
+
+    /// Wall points of the frames that are not left out.
+    pub(in crate::sweep) fn echo_count(&self) -> usize {
+        echo_count(&self.contours_mm)
+    }
+
+    /// Standard deviation of the contours' noise along the wall, mm.
+    pub(in crate::sweep) fn tangential_noise_mm(&self) -> f64 {
+        tangential_noise_mm(&self.contours_mm)
+    }
+}

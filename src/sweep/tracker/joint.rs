@@ -1,106 +1,110 @@
 //! Wall and pose errors as one linear mixed model.
 //!
-//! Echo i of frame k says of the radius under its foot `yᵢ = aᵢᵀr + jᵢᵀcₖ + eᵢ`: r are the radii at the nodes, cₖ the
-//! error of the frame's pose, e noise. With normal priors, on c and on the bending of the wall, the likeliest r and c
-//! minimise `Σ wᵢ (yᵢ - aᵢᵀr - jᵢᵀcₖ)² + σ² cᵀS⁻¹c + λ ∫ |bending|²`. c is eliminated, frame by frame: what is left is
-//! generalised least squares for r, in which what a shift of a frame looks like has less weight than the rest.
+//! The equation of echo i of frame k for the radius at its projection is `yᵢ = aᵢᵀr + jᵢᵀcₖ + eᵢ`: r are the radii at the
+//! nodes, cₖ is the error of the frame's pose, e is noise. With normal priors on c and on the bending of the wall, the
+//! likeliest r and c minimise `Σ wᵢ (yᵢ - aᵢᵀr - jᵢᵀcₖ)² + σ² cᵀS⁻¹c + λ ∫ |bending|²`. Eliminating c frame by frame
+//! leaves generalised least squares for r, which gives less weight to deviations that look like a shift of a frame.
 
 use crate::geometry::Pose;
-use crate::sweep::median;
+use crate::numerics::cholesky::{self, Matrix, cholesky, dot, inverse_column};
+use crate::numerics::robust::{huber_weight, robust_sd};
 use crate::sweep::prepare::axis::Axis;
-use crate::sweep::wall::echo::{Echo, gate};
-use crate::sweep::wall::grid::{Corners, Ease, Equations, Grid, Solver, System};
-use crate::sweep::wall::{Wall, huber};
+use crate::sweep::prepare::echo::Echo;
+use crate::sweep::prepare::grid::{Corners, WallGrid};
+use crate::sweep::wall::bending::LocalSmoothness;
+use crate::sweep::wall::equations::Equations;
+use crate::sweep::wall::fit::Wall;
+use crate::sweep::wall::residual::gate;
+use crate::sweep::wall::solver::{Solver, System};
+use crate::{Error, Result};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-/// A pose's error in the world's axes: shift in mm, then turn about the sensor in mm at the lumen's wall.
-pub(in crate::sweep) type Twist = [f64; 6];
-type Matrix = [Twist; 6];
+/// A pose's error in the world's axes: shift in mm, then rotation about the sensor in mm at the lumen's wall.
+pub(super) type Twist = [f64; 6];
 
-/// Turn in degrees that goes with a shift of a millimetre: electromagnetic trackers shake by 0.3 to 1.4 mm and 0.3° to
-/// 1°. Turns show too little, and in a straight vessel not at all, to have a level of their own.
+/// Rotation in degrees for each millimetre of shift: electromagnetic trackers have noise of 0.3 to 1.4 mm and 0.3° to 1°.
+/// The data determine rotations too weakly, and in a straight vessel not at all, for a variance of their own.
 const DEGREES_PER_MM: f64 = 1.0;
-/// Least variance of pose errors, in variances of the noise: none at all has no inverse.
-const LEAST_VARIANCE: f64 = 1e-12;
-/// Stretches of the recording whose scatter tells the standard error of an offset.
-const STRETCHES: usize = 32;
-/// Steps of the ascent to the likeliest level of pose errors in one go.
+/// Smallest variance of pose errors, in variances of the noise: its inverse must be finite.
+const MIN_VARIANCE: f64 = 1e-12;
+/// Number of segments of the recording whose scatter gives the standard error of an offset.
+const SEGMENTS: usize = 32;
+/// Steps towards the likeliest variance of pose errors in one fit.
 const ASCENT_STEPS: usize = 10;
 
-/// How the poses move, per second: shift in mm and turn in rad, in the world's axes.
+/// Velocity of a pose: shift in mm/s and rotation in rad/s, in the world's axes.
 #[derive(Debug, Clone, Copy, Default)]
-pub(in crate::sweep) struct Motion {
+pub(super) struct Motion {
     pub shift_mm: DVec3,
     pub turn_rad: DVec3,
 }
 
-/// How large noise and errors are.
+/// The standard deviations of the model.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::sweep) struct Levels {
+pub(super) struct NoiseLevels {
     /// σ: standard deviation of an echo about the wall when the poses are right, mm.
     pub noise_mm: f64,
     /// Standard deviation of a pose's shift along each axis, mm.
     pub shift_mm: f64,
 }
 
-/// An echo's equation.
-struct Row {
+/// The equation of an echo.
+struct EchoEquation {
     corners: Corners,
     /// Square root of the inverse variance, in units of the noise.
     scale: f64,
     /// Its square times the robust weight; 0 beyond the gate.
     weight: f64,
-    /// y: the radius as the pose without any correction has it, mm.
+    /// y: the radius at the recorded pose, mm.
     radius_mm: f64,
-    /// j: by how much a pose's error lengthens the radius.
-    pull: Twist,
-    /// By how much a second of the poses' motion lengthens it, mm.
-    slide_mm: f64,
+    /// j: derivative of the radius by the pose's error.
+    jacobian: Twist,
+    /// Derivative of the radius by time along the poses' motion, mm/s.
+    velocity_mm: f64,
 }
 
 /// The model about a wall.
-pub(in crate::sweep) struct Joint<'a> {
-    grid: &'a Grid,
+pub(super) struct Joint<'a> {
+    grid: &'a WallGrid,
     solver: &'a Solver,
     /// Frame by frame.
-    rows: Vec<Row>,
-    /// First row of each frame, and the end.
+    equations: Vec<EchoEquation>,
+    /// First equation of each frame, and the end.
     starts: Vec<usize>,
     /// Per frame: `Σ w j jᵀ`.
-    information: Vec<Matrix>,
+    information: Vec<Matrix<6>>,
     /// Variances of an error's components for a shift of variance one.
     shape: Twist,
 }
 
-/// Where the wall may bend more. Found in the first fits, then kept: a wall that may bend more does, and would then be
-/// given still more.
+/// The local smoothness of the wall. It is estimated in the first fits, then frozen; otherwise it would keep decreasing.
 #[derive(Default)]
-pub(in crate::sweep) struct Eased {
-    ease: Ease,
-    is_settled: bool,
+pub(super) struct BendingPrior {
+    local: LocalSmoothness,
+    is_frozen: bool,
 }
 
-/// What the fit of a model gives.
-pub(in crate::sweep) struct Fit {
+/// The fit of a model.
+pub(super) struct Fit {
     /// c: per frame.
     pub errors: Vec<Twist>,
-    pub levels: Levels,
+    pub levels: NoiseLevels,
     pub solver_steps: usize,
 }
 
 /// An offset in time, s.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::sweep) struct Offset {
+pub(super) struct Offset {
     pub seconds: f64,
     pub standard_error_s: f64,
 }
 
 impl<'a> Joint<'a> {
-    /// The model about `wall`, for echoes with their feet on it. `sensors` are the poses that the echoes were placed
-    /// with, `errors` what was taken off the recorded ones to get them.
-    pub(in crate::sweep) fn about(
-        (grid, solver): (&'a Grid, &'a Solver),
+    /// The model about `wall`, for echoes with their projections on it. `sensors` are the poses that the echoes were placed
+    /// with, `errors` the corrections that were subtracted from the recorded ones.
+    pub(super) fn about(
+        (grid, solver): (&'a WallGrid, &'a Solver),
         axis: &Axis,
         echoes: &[Echo],
         wall: &Wall,
@@ -121,37 +125,37 @@ impl<'a> Joint<'a> {
             order[*slot] = i;
             *slot += 1;
         }
-        let rows: Vec<Row> = order
+        let equations: Vec<EchoEquation> = order
             .par_iter()
             .map(|&i| {
                 let mut echo = echoes[i];
                 let frame = echo.frame as usize;
-                let (ring, node) = echo.foot();
-                let measured = echo.measure(wall.held(grid), false);
-                let (point, directions) = axis.at(echo.ring(), echo.theta_rad(grid.nodes), echo.radius_mm);
+                let (ring, node) = echo.projection();
+                let measured = wall.residual_model(grid).measure(&mut echo, false);
+                let (point, directions) = axis.at(echo.ring, echo.theta_rad(grid.nodes), echo.radius_mm);
                 let arm = point - sensors[frame].translation_mm;
                 let normal = directions * measured.normal;
                 let Motion { shift_mm, turn_rad } = motions[frame];
-                let slide_mm = normal.dot(shift_mm + turn_rad.cross(arm)) / measured.normal.x;
-                // A shift along the vessel hardly shows: where it does, at a narrow place, frames would slide to
-                // wherever the wall is smoothest.
+                let velocity_mm = normal.dot(shift_mm + turn_rad.cross(arm)) / measured.normal.x;
+                // A shift along the vessel hardly changes the radii; where it does, at a narrow place, frames would slide to
+                // where the wall is smoothest.
                 let across = normal - directions.z_axis * normal.dot(directions.z_axis);
                 let shift = across / measured.normal.x;
                 let turn = (arm / radius_mm).cross(shift);
-                let pull = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
-                let miss = echo.miss_mm.abs();
-                let counts = miss <= gate(wall.noise_mm, measured.wall_mm);
-                Row {
+                let jacobian = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
+                let residual = echo.residual_mm.abs();
+                let counts = residual <= gate(wall.noise_mm, measured.wall_mm);
+                EchoEquation {
                     corners: grid.corners(ring, node),
                     scale: measured.weight.sqrt(),
                     weight: if counts {
-                        huber(wall.noise_mm, miss) * measured.weight * echo.weight
+                        huber_weight(wall.noise_mm, residual) * measured.weight * echo.weight
                     } else {
                         0.0
                     },
-                    radius_mm: measured.wall_mm + measured.radial_mm + dot(&pull, &errors[frame]),
-                    pull,
-                    slide_mm,
+                    radius_mm: measured.wall_mm + measured.radial_mm + dot(&jacobian, &errors[frame]),
+                    jacobian,
+                    velocity_mm,
                 }
             })
             .collect();
@@ -159,180 +163,180 @@ impl<'a> Joint<'a> {
             .par_windows(2)
             .map(|range| {
                 let mut sum = Matrix::default();
-                for row in &rows[range[0]..range[1]] {
-                    for (line, pull) in sum.iter_mut().zip(row.pull) {
-                        line.iter_mut().zip(row.pull).for_each(|(s, other)| *s += row.weight * pull * other);
+                for equation in &equations[range[0]..range[1]] {
+                    let EchoEquation { weight, jacobian, .. } = equation;
+                    for (line, j) in sum.iter_mut().zip(jacobian) {
+                        line.iter_mut().zip(jacobian).for_each(|(s, other)| *s += weight * j * other);
                     }
                 }
                 sum
             })
             .collect();
         let turn = (DEGREES_PER_MM.to_radians() * radius_mm).powi(2);
-        Self { grid, solver, rows, starts, information, shape: [1.0, 1.0, 1.0, turn, turn, turn] }
+        Self { grid, solver, equations, starts, information, shape: [1.0, 1.0, 1.0, turn, turn, turn] }
     }
 
-    /// Fits radii and errors, and estimates the levels from them, `times` times in turn. λ = (σ/τ)² goes along.
-    pub(in crate::sweep) fn fit(
+    /// Fits radii and errors and estimates the noise levels from them, `times` times in turn; λ = (σ/τ)² follows.
+    pub(super) fn fit(
         &self,
-        levels: Levels,
+        levels: NoiseLevels,
         times: usize,
         roughness: f64,
-        eased: &mut Eased,
+        prior: &mut BendingPrior,
         radii_mm: &mut [f64],
-    ) -> Fit {
-        let values: Vec<f64> = self.rows.iter().map(|row| row.radius_mm).collect();
+    ) -> Result<Fit> {
+        let values: Vec<f64> = self.equations.iter().map(|equation| equation.radius_mm).collect();
         let mut fit = Fit { errors: Vec::new(), levels, solver_steps: 0 };
         for _ in 0..times {
             let noise_mm = fit.levels.noise_mm;
-            let errors = self.errors_at(fit.levels);
-            if !eased.is_settled {
-                eased.ease = Ease::at_bends(self.grid, radii_mm, roughness);
+            let errors = self.errors_at(fit.levels)?;
+            if !prior.is_frozen {
+                prior.local = LocalSmoothness::from_bending(self.grid, radii_mm, roughness);
             }
-            fit.solver_steps += self.solve(&errors, fit.levels, roughness, &eased.ease, &values, radii_mm);
-            let sums = self.sums(|i| values[i] - self.rows[i].corners.value(radii_mm));
+            fit.solver_steps += self.solve(&errors, fit.levels, roughness, &prior.local, &values, radii_mm);
+            let sums = self.sums(|i| values[i] - self.equations[i].corners.value(radii_mm));
             fit.errors = errors.of(&sums);
             fit.levels.noise_mm = self.noise_mm(&values, &fit.errors, &errors, radii_mm).max(1e-9 * noise_mm);
-            fit.levels.shift_mm = self.shift_level_mm(&sums, fit.levels);
+            fit.levels.shift_mm = self.shift_level_mm(&sums, fit.levels)?;
         }
-        eased.is_settled = true;
-        fit
+        prior.is_frozen = true;
+        Ok(fit)
     }
 
-    /// The offset in time that the motion of the poses makes likeliest at a fit: one Gauss-Newton step, radii and errors
-    /// free to follow.
-    pub(in crate::sweep) fn offset(
+    /// A Gauss-Newton step to the likeliest offset in time along the poses' motion, with free radii and errors.
+    pub(super) fn offset(
         &self,
         fit: &Fit,
         roughness: f64,
-        eased: &Eased,
+        prior: &BendingPrior,
         radii_mm: &[f64],
-    ) -> Offset {
-        let errors = self.errors_at(fit.levels);
-        let slides: Vec<f64> = self.rows.iter().map(|row| row.slide_mm).collect();
-        let mut follow = vec![0.0; radii_mm.len()];
-        self.solve(&errors, fit.levels, roughness, &eased.ease, &slides, &mut follow);
-        let unseen = errors.of(&self.sums(|i| slides[i] - self.rows[i].corners.value(&follow)));
+    ) -> Result<Offset> {
+        let errors = self.errors_at(fit.levels)?;
+        let velocities: Vec<f64> = self.equations.iter().map(|equation| equation.velocity_mm).collect();
+        let mut wall_velocities = vec![0.0; radii_mm.len()];
+        self.solve(&errors, fit.levels, roughness, &prior.local, &velocities, &mut wall_velocities);
+        let explained =
+            errors.of(&self.sums(|i| velocities[i] - self.equations[i].corners.value(&wall_velocities)));
         let mut information = 0.0;
-        let stretch = self.information.len().div_ceil(STRETCHES);
-        let mut scores = [0.0; STRETCHES];
+        let segment = self.information.len().div_ceil(SEGMENTS);
+        let mut scores = [0.0; SEGMENTS];
         for (k, range) in self.starts.windows(2).enumerate() {
-            for (row, slide) in self.rows[range[0]..range[1]].iter().zip(&slides[range[0]..]) {
-                let left = slide - row.corners.value(&follow) - dot(&row.pull, &unseen[k]);
-                let miss = row.radius_mm - row.corners.value(radii_mm) - dot(&row.pull, &fit.errors[k]);
-                information += row.weight * slide * left;
-                scores[k / stretch] -= row.weight * left * miss;
+            for (equation, velocity) in self.equations[range[0]..range[1]].iter().zip(&velocities[range[0]..])
+            {
+                let EchoEquation { corners, weight, radius_mm, jacobian, .. } = equation;
+                let unexplained = velocity - corners.value(&wall_velocities) - dot(jacobian, &explained[k]);
+                let residual = radius_mm - corners.value(radii_mm) - dot(jacobian, &fit.errors[k]);
+                information += weight * velocity * unexplained;
+                scores[k / segment] -= weight * unexplained * residual;
             }
         }
         let seconds = scores.iter().sum::<f64>() / information;
-        // What a model leaves out is alike in neighbouring frames, so the scatter of whole stretches counts as well.
+        // Model errors are alike in neighbouring frames, so the scatter of whole segments counts as well.
         let scatter = scores.iter().map(|s| s * s).sum::<f64>() / (information * information);
         let of_noise = fit.levels.noise_mm.powi(2) / information;
-        Offset { seconds, standard_error_s: scatter.max(of_noise).sqrt() }
+        Ok(Offset { seconds, standard_error_s: scatter.max(of_noise).sqrt() })
     }
 
-    /// Σ w j value of each frame.
+    /// `Σ w j value` of each frame.
     fn sums(&self, value: impl Fn(usize) -> f64 + Sync) -> Vec<Twist> {
         self.starts
             .par_windows(2)
             .map(|range| {
                 let mut sum = Twist::default();
                 for i in range[0]..range[1] {
-                    let row = &self.rows[i];
-                    let weighted = row.weight * value(i);
-                    sum.iter_mut().zip(row.pull).for_each(|(s, pull)| *s += weighted * pull);
+                    let equation = &self.equations[i];
+                    let weighted = equation.weight * value(i);
+                    sum.iter_mut().zip(equation.jacobian).for_each(|(s, j)| *s += weighted * j);
                 }
                 sum
             })
             .collect()
     }
 
-    /// `σ²S⁻¹`: what the prior adds to a frame's information.
-    fn prior(&self, levels: Levels) -> Twist {
+    /// `σ²S⁻¹`: the prior's part of a frame's information.
+    fn prior(&self, levels: NoiseLevels) -> Twist {
         let noise = levels.noise_mm * levels.noise_mm;
-        let variance = (levels.shift_mm * levels.shift_mm).max(LEAST_VARIANCE * noise);
+        let variance = (levels.shift_mm * levels.shift_mm).max(MIN_VARIANCE * noise);
         self.shape.map(|shape| noise / (variance * shape))
     }
 
-    fn errors_at(&self, levels: Levels) -> Errors {
-        let prior = self.prior(levels);
-        let factored = |information: &Matrix| {
-            let mut matrix = *information;
-            (0..6).for_each(|i| matrix[i][i] += prior[i]);
-            Cholesky::of(&matrix)
-        };
-        Errors { frames: self.information.par_iter().map(factored).collect() }
+    fn errors_at(&self, levels: NoiseLevels) -> Result<PoseErrors> {
+        PoseErrors::new(&self.information, &self.prior(levels))
     }
 
-    /// The likeliest radii for these values of the echoes when errors are free to follow.
+    /// The likeliest radii for these values of the echoes, with free errors; returns the solver's steps.
     fn solve(
         &self,
-        errors: &Errors,
-        levels: Levels,
+        errors: &PoseErrors,
+        levels: NoiseLevels,
         roughness: f64,
-        ease: &Ease,
+        local: &LocalSmoothness,
         values: &[f64],
         x: &mut [f64],
     ) -> usize {
         let explained = errors.of(&self.sums(|i| values[i]));
         let mut equations = Equations::over(self.grid, 0..self.grid.rings);
         for (k, range) in self.starts.windows(2).enumerate() {
-            for (row, value) in self.rows[range[0]..range[1]].iter().zip(&values[range[0]..]) {
-                equations.add(&row.corners, row.weight, value - dot(&row.pull, &explained[k]));
+            for (equation, value) in self.equations[range[0]..range[1]].iter().zip(&values[range[0]..]) {
+                let EchoEquation { corners, weight, jacobian, .. } = equation;
+                equations.add(corners, *weight, value - dot(jacobian, &explained[k]));
             }
         }
         let coupling = |x: &[f64], out: &mut [f64]| {
-            let explained = errors.of(&self.sums(|i| self.rows[i].corners.value(x)));
+            let explained = errors.of(&self.sums(|i| self.equations[i].corners.value(x)));
             for (k, range) in self.starts.windows(2).enumerate() {
-                for row in &self.rows[range[0]..range[1]] {
-                    let pull = row.weight * dot(&row.pull, &explained[k]);
-                    for (node, weight) in row.corners.nodes.iter().zip(row.corners.weights) {
-                        out[*node] -= pull * weight;
+                for EchoEquation { corners, weight, jacobian, .. } in &self.equations[range[0]..range[1]] {
+                    let weighted = weight * dot(jacobian, &explained[k]);
+                    for (node, share) in corners.nodes.iter().zip(corners.weights) {
+                        out[*node] -= weighted * share;
                     }
                 }
             }
         };
-        let noise_mm = crate::sweep::wall::smoothed_noise(self.grid, levels.noise_mm, roughness);
-        let of_a_frame = self.rows.len() as f64 / self.information.len() as f64 / 2.0;
+        let noise_mm = self.grid.smoothed_noise_mm(levels.noise_mm, roughness);
+        let per_frame = self.equations.len() as f64 / self.information.len() as f64 / 2.0;
         let system = System {
             equations: &equations,
             smoothness_mm2: (noise_mm / roughness).powi(2),
-            ease,
+            local,
             coupling: &coupling,
-            first_harmonic: 1.0 / (1.0 + of_a_frame * (levels.shift_mm / levels.noise_mm).powi(2)),
+            first_harmonic: 1.0 / (1.0 + per_frame * (levels.shift_mm / levels.noise_mm).powi(2)),
         };
         self.solver.solve(&system, (1e-3 * levels.noise_mm / self.grid.radius_mm()).max(1e-10), x)
     }
 
-    /// σ, from the median of what radii and errors leave, with the freedom that the errors took.
-    fn noise_mm(&self, values: &[f64], errors: &[Twist], factored: &Errors, radii_mm: &[f64]) -> f64 {
-        let mut misses: Vec<f64> = Vec::with_capacity(values.len());
+    /// σ, from the median of the residuals, corrected for the degrees of freedom of the errors.
+    fn noise_mm(&self, values: &[f64], errors: &[Twist], factored: &PoseErrors, radii_mm: &[f64]) -> f64 {
+        let mut residuals: Vec<f64> = Vec::with_capacity(values.len());
         for (k, range) in self.starts.windows(2).enumerate() {
-            for (row, value) in self.rows[range[0]..range[1]].iter().zip(&values[range[0]..]) {
-                if row.weight > 0.0 {
-                    let left = value - row.corners.value(radii_mm) - dot(&row.pull, &errors[k]);
-                    misses.push((left * row.scale).abs());
+            for (equation, value) in self.equations[range[0]..range[1]].iter().zip(&values[range[0]..]) {
+                if equation.weight > 0.0 {
+                    let EchoEquation { corners, scale, jacobian, .. } = equation;
+                    let residual = value - corners.value(radii_mm) - dot(jacobian, &errors[k]);
+                    residuals.push((residual * scale).abs());
                 }
             }
         }
-        let freedom: f64 = factored.frames.iter().zip(&self.information).map(|(f, h)| f.trace_of(h)).sum();
-        let count = misses.len() as f64;
-        1.4826 * median(&mut misses) * (count / (count - freedom).max(0.1 * count)).sqrt()
+        let freedom: f64 = factored.factors.iter().zip(&self.information).map(|(l, h)| trace(l, h)).sum();
+        let count = residuals.len() as f64;
+        robust_sd(&mut residuals) * (count / (count - freedom).max(0.1 * count)).sqrt()
     }
 
-    /// The likeliest standard deviation of a shift given the radii. Where `v` is its square and P the precision of a
-    /// frame's misses as they bear on its error, the likelihood rises with every `v ← v √(Σ |Pg|²/Σ tr P)`.
-    fn shift_level_mm(&self, sums: &[Twist], mut levels: Levels) -> f64 {
+    /// The standard deviation of a shift that maximises the marginal likelihood of the residuals, given the radii. With `v`
+    /// its square and P the precision of a frame's residuals projected on its error, every step `v ← v √(Σ |Pg|²/Σ tr P)`
+    /// increases the likelihood.
+    fn shift_level_mm(&self, sums: &[Twist], mut levels: NoiseLevels) -> Result<f64> {
         let noise = levels.noise_mm * levels.noise_mm;
         for _ in 0..ASCENT_STEPS {
             let prior = self.prior(levels);
-            let errors = self.errors_at(levels);
+            let errors = self.errors_at(levels)?;
             let terms: Vec<[f64; 2]> = errors
-                .frames
+                .factors
                 .par_iter()
                 .zip(sums)
                 .map(|(factor, sum)| {
-                    let error = factor.solve(sum);
-                    let inverse = factor.inverse_diagonal();
+                    let error = cholesky::solve(factor, *sum);
+                    let inverse: Twist = std::array::from_fn(|i| inverse_column(factor, i)[i]);
                     let mut terms = [0.0; 2];
                     for i in 0..6 {
                         // In units of the noise: S⁻¹c, and the diagonal of S⁻¹ - S⁻¹K⁻¹S⁻¹.
@@ -342,80 +346,62 @@ impl<'a> Joint<'a> {
                     terms
                 })
                 .collect();
-            let [pulled, expected] = terms.iter().fold([0.0; 2], |[a, b], [c, d]| [a + c, b + d]);
+            let [found, expected] = terms.iter().fold([0.0; 2], |[a, b], [c, d]| [a + c, b + d]);
             if expected.is_nan() || expected <= 0.0 {
                 break;
             }
-            levels.shift_mm *= (pulled / expected).powf(0.25);
-            levels.shift_mm = levels.shift_mm.max(levels.noise_mm * LEAST_VARIANCE.sqrt());
+            levels.shift_mm *= (found / expected).powf(0.25);
+            levels.shift_mm = levels.shift_mm.max(levels.noise_mm * MIN_VARIANCE.sqrt());
         }
-        levels.shift_mm
+        Ok(levels.shift_mm)
     }
 }
 
-/// The errors' part of the equations, factored: one system a frame.
-struct Errors {
-    frames: Vec<Cholesky>,
+/// The pose errors' part of the equations: one 6 × 6 system per frame, as Cholesky factors.
+struct PoseErrors {
+    factors: Vec<Matrix<6>>,
 }
 
-impl Errors {
-    /// The likeliest errors for these sums of misses.
+impl PoseErrors {
+    /// For the frames' information matrices `Σ w j jᵀ` and the diagonal of the prior's.
+    ///
+    /// # Errors
+    /// Where a frame's matrix is not positive definite.
+    fn new(information: &[Matrix<6>], prior: &Twist) -> Result<Self> {
+        let with_prior = |information: &Matrix<6>| {
+            let mut matrix = *information;
+            (0..6).for_each(|i| matrix[i][i] += prior[i]);
+            matrix
+        };
+        let factors: Vec<_> = information.par_iter().map(|h| cholesky(&with_prior(h))).collect();
+        let checked = factors.into_iter().enumerate().map(|(frame, factor)| {
+            factor.ok_or_else(|| {
+                let matrix = with_prior(&information[frame]);
+                let diagonal: Twist = std::array::from_fn(|i| matrix[i][i]);
+                Error::Frame {
+                    frame,
+                    field: "information about the pose's error",
+                    found: format!("a matrix that is not positive definite, with the diagonal {diagonal:?}"),
+                    expected: "a positive definite matrix: finite echoes and a finite noise above 0".into(),
+                }
+            })
+        });
+        Ok(Self { factors: checked.collect::<Result<_>>()? })
+    }
+
+    /// The likeliest errors for these [sums](Joint::sums) of residuals.
     fn of(&self, sums: &[Twist]) -> Vec<Twist> {
-        self.frames.iter().zip(sums).map(|(frame, sum)| frame.solve(sum)).collect()
+        self.factors.iter().zip(sums).map(|(factor, sum)| cholesky::solve(factor, *sum)).collect()
     }
 }
 
-/// `LLᵀ` of a symmetric positive definite matrix.
-struct Cholesky(Matrix);
-
-impl Cholesky {
-    fn of(matrix: &Matrix) -> Self {
-        let mut l = Matrix::default();
-        for i in 0..6 {
-            for j in 0..=i {
-                let rest = matrix[i][j] - (0..j).map(|k| l[i][k] * l[j][k]).sum::<f64>();
-                l[i][j] = if i == j { rest.max(f64::MIN_POSITIVE).sqrt() } else { rest / l[j][j] };
-            }
-        }
-        Self(l)
-    }
-
-    fn solve(&self, right: &Twist) -> Twist {
-        let Self(l) = self;
-        let mut x = *right;
-        for i in 0..6 {
-            let known: f64 = (0..i).map(|k| l[i][k] * x[k]).sum();
-            x[i] = (x[i] - known) / l[i][i];
-        }
-        for i in (0..6).rev() {
-            let known: f64 = (i + 1..6).map(|k| l[k][i] * x[k]).sum();
-            x[i] = (x[i] - known) / l[i][i];
-        }
-        x
-    }
-
-    fn column(&self, i: usize) -> Twist {
-        let mut unit = Twist::default();
-        unit[i] = 1.0;
-        self.solve(&unit)
-    }
-
-    fn inverse_diagonal(&self) -> Twist {
-        std::array::from_fn(|i| self.column(i)[i])
-    }
-
-    /// Trace of the inverse times a symmetric matrix.
-    fn trace_of(&self, matrix: &Matrix) -> f64 {
-        (0..6).map(|i| dot(&self.column(i), &matrix[i])).sum()
-    }
-}
-
-fn dot(a: &Twist, b: &Twist) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+/// Trace of `(L Lᵀ)⁻¹` times a symmetric matrix.
+fn trace(factor: &Matrix<6>, matrix: &Matrix<6>) -> f64 {
+    (0..6).map(|i| dot(&inverse_column(factor, i), &matrix[i])).sum()
 }
 
 /// A pose without its error.
-pub(in crate::sweep) fn corrected(pose: &Pose, error: &Twist, radius_mm: f64) -> Pose {
+pub(super) fn corrected(pose: &Pose, error: &Twist, radius_mm: f64) -> Pose {
     let (shift, turn) = split(error, radius_mm);
     Pose {
         rotation: DMat3::from_quat(glam::DQuat::from_scaled_axis(-turn)) * pose.rotation,
@@ -423,8 +409,8 @@ pub(in crate::sweep) fn corrected(pose: &Pose, error: &Twist, radius_mm: f64) ->
     }
 }
 
-/// Shift in mm and turn in rad.
-pub(in crate::sweep) fn split(error: &Twist, radius_mm: f64) -> (DVec3, DVec3) {
+/// Shift in mm and rotation in rad.
+pub(super) fn split(error: &Twist, radius_mm: f64) -> (DVec3, DVec3) {
     let [a, b, c, d, e, f] = *error;
     (DVec3::new(a, b, c), DVec3::new(d, e, f) / radius_mm)
 }
@@ -436,13 +422,32 @@ mod tests {
     #[test]
     fn a_factored_system_is_solved() {
         let column = |i: usize| std::array::from_fn(|j| 1.0 / (1.0 + (i + j) as f64));
-        let mut matrix: Matrix = std::array::from_fn(column);
+        let mut matrix: Matrix<6> = std::array::from_fn(column);
         (0..6).for_each(|i| matrix[i][i] += 0.1);
-        let factored = Cholesky::of(&matrix);
+        let factored = PoseErrors::new(&[matrix], &[0.0; 6]).unwrap();
         let x = [1.0, -2.0, 3.0, 0.5, 0.0, 7.0];
-        let found = factored.solve(&matrix.map(|line| dot(&line, &x)));
+        let found = factored.of(&[matrix.map(|line| dot(&line, &x))])[0];
         assert!(found.iter().zip(x).all(|(a, b)| (a - b).abs() < 1e-10), "{found:?}");
-        assert!((factored.trace_of(&matrix) - 6.0).abs() < 1e-10);
+        assert!((trace(&factored.factors[0], &matrix) - 6.0).abs() < 1e-10);
+    }
+
+    #[test]
+    fn an_indefinite_information_matrix_is_refused() {
+        let mut definite = Matrix::<6>::default();
+        (0..6).for_each(|i| definite[i][i] = 1.0);
+        let mut indefinite = definite;
+        // Of determinant 1·1 - 2·2.
+        (indefinite[1][0], indefinite[0][1]) = (2.0, 2.0);
+        let mut no_number = definite;
+        no_number[3][3] = f64::NAN;
+        assert!(PoseErrors::new(&[definite, definite], &[0.0; 6]).is_ok());
+        for bad in [indefinite, no_number] {
+            let refused = PoseErrors::new(&[definite, bad, definite], &[0.0; 6]).err().unwrap().to_string();
+            assert!(refused.starts_with("frame 1: information about the pose's error: found"), "{refused}");
+            assert!(refused.contains("not positive definite") && refused.contains("expected"), "{refused}");
+        }
+        // A prior makes it definite.
+        assert!(PoseErrors::new(&[indefinite], &[2.0; 6]).is_ok());
     }
 
     #[test]

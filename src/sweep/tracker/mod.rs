@@ -1,87 +1,86 @@
-//! What the tracker got wrong, as far as the echoes show it: an offset in time, and a small error of every pose.
+//! The tracker's errors, as far as the echoes show them: an offset in time, and a small error of every pose.
 //!
-//! A wall fitted to the recorded poses comes first. About it wall and errors are one model ([`joint`]), whose
-//! errors are taken off the poses; echoes are placed anew and the wall is fitted on, as ever.
+//! They start from a wall that is fitted to the recorded poses. Wall and errors about it form one model ([`joint`]); its
+//! errors are subtracted from the poses, the echoes are placed again, and the fit of the wall continues.
 
 mod joint;
 
 use crate::geometry::Pose;
 use crate::recording::Frame;
 use crate::settings::SweepSettings;
-use crate::sweep::prepare::axis::Axis;
-use crate::sweep::wall::echo::Echo;
-use crate::sweep::wall::grid::{Grid, Solver};
-use crate::sweep::wall::{self, Wall};
+use crate::sweep::prepare::Prepared;
+use crate::sweep::prepare::echo::Echo;
+use crate::sweep::wall::engine::refit;
+use crate::sweep::wall::fit::Wall;
+use crate::sweep::wall::solver::Solver;
 use crate::{Error, Result};
 use glam::{DMat3, DQuat, DVec3};
-use joint::{Eased, Joint, Levels, Motion, Offset, Twist, corrected, split};
+use joint::{BendingPrior, Joint, Motion, NoiseLevels, Offset, Twist, corrected, split};
 use serde::Serialize;
 
-/// The tracker's errors, as estimated, and what of them was taken off the poses.
+/// The estimated errors of the tracker, and the part of them that was corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Tracker {
-    /// Standard deviation of a pose's shift along each axis, mm; a turn of so many degrees goes with it.
+    /// Standard deviation of a pose's shift along each axis, mm; a rotation of as many degrees belongs to it.
     pub noise_mm: f64,
-    /// Root mean square length of the shifts that were taken off, mm; those along the vessel do not show and stay.
+    /// Root mean square length of the corrected shifts, mm; shifts along the vessel are not observable and remain.
     pub shift_mm: f64,
-    /// Root mean square angle of the turns that were taken off, degrees.
+    /// Root mean square angle of the corrected rotations, degrees.
     pub turn_deg: f64,
-    /// How much older than its contour a pose is, s; `None` where it was not asked for.
+    /// How much older than its contour a pose is, s; `None` where it was not estimated.
     pub offset_s: Option<f64>,
     /// Standard error of that, s.
     pub offset_standard_error_s: Option<f64>,
-    /// Whether the offset was corrected: it is left at nought within three standard errors.
+    /// Whether the offset was corrected: within three standard errors it counts as 0.
     pub offset_corrected: bool,
     /// Steps of the solver.
     pub solver_steps: usize,
 }
 
 /// Rounds of linearisation; with an offset they go on until a step is below this share of its standard error.
-const LEAST_ROUNDS: usize = 2;
-const MOST_ROUNDS: usize = 6;
+const MIN_ROUNDS: usize = 2;
+const MAX_ROUNDS: usize = 6;
 const ENOUGH_ERRORS: f64 = 0.3;
 /// Steps for the offset are taken to be too short by at most this factor.
-const LEAST_FACTOR: f64 = 0.2;
-/// Fits in a round, each with the levels that the one before it left.
+const MIN_FACTOR: f64 = 0.2;
+/// Fits in a round, each with the noise levels of the one before.
 const FITS: usize = 4;
-/// The first guess at the poses' noise, as a share of the echoes'.
+/// The initial noise of the poses, as a share of the echoes'.
 const START_SHARE: f64 = 0.3;
-/// An offset counts where it is beyond so many standard errors.
+/// An offset beyond this many standard errors is significant.
 const SIGNIFICANT: f64 = 3.0;
-/// Velocities are slopes over the frames that are at most so long before and after, and over one frame each way at
-/// the least. Noise of 0.3 mm at 12 frames a second makes 0.3 mm/s over that time, a tenth of a catheter's speed; from
-/// one frame to the next it would make 2.5.
+/// Velocities are slopes over the frames within this time before and after, and over at least one frame on each side.
+/// Noise of 0.3 mm at 12 frames per second then makes 0.3 mm/s, a tenth of a catheter's speed; from one frame to the next
+/// it would make 2.5 mm/s.
 const VELOCITY_WINDOW_S: f64 = 0.5;
-/// Share of the noise's variance across the image plane when errors of the pose are not part of it. The contours' own
-/// noise lies within the plane; the share keeps a wall that runs along the plane from getting all the weight.
-const OUT_OF_PLANE: f64 = 0.02;
-/// Feet settle on a wall within so many steps.
-const FOOT_STEPS: usize = 3;
-
-/// A recording about its axis, whose poses can be moved.
-pub(in crate::sweep) struct Scene<'a> {
-    pub grid: &'a Grid,
-    pub axis: &'a Axis,
-    pub frames: &'a [Frame],
-    /// The echoes about the axis for other poses of the sensor.
-    pub place: &'a dyn Fn(&[Pose]) -> Vec<Echo>,
-}
+/// Share of the noise's variance across the image plane without the errors of the pose. The contours' own noise lies within
+/// the plane; the share bounds the weight of a wall that runs along the plane.
+const CONTOUR_OUT_OF_PLANE: f64 = 0.02;
+/// Steps within which projections converge on a wall.
+const PROJECTION_STEPS: usize = 3;
 
 impl Tracker {
-    /// Estimates the errors that `settings` ask for, and moves echoes and wall to where they are without them.
+    /// Estimates the errors that `settings` ask for, and corrects echoes and wall; `None` where they ask for none.
+    ///
+    /// # Errors
+    /// Where an offset is to be estimated and times are missing or do not increase, or the equations of a frame's error
+    /// are not positive definite.
     pub(in crate::sweep) fn correct(
-        scene: &Scene,
+        prepared: &Prepared,
         settings: &SweepSettings,
         echoes: &mut Vec<Echo>,
         wall: &mut Wall,
-    ) -> Result<Self> {
-        let Scene { grid, frames, .. } = *scene;
-        let work = Work { scene, solver: Solver::new(*grid), roughness: settings.roughness };
-        let mut sensors: Vec<Pose> = frames.iter().map(|f| f.world_from_sensor).collect();
+    ) -> Result<Option<Self>> {
+        if !settings.correct_poses && !settings.estimate_offset {
+            return Ok(None);
+        }
+        let Prepared { grid, frames, .. } = prepared;
+        let estimator = Estimator { prepared, solver: Solver::new(*grid), roughness: settings.roughness };
+        let mut sensors = prepared.sensors();
         let mut report = Self::default();
         if settings.estimate_offset {
             let motions = motions(frames)?;
-            let found = work.estimate(&sensors, Some(&motions), echoes.clone(), wall.clone());
+            let found = estimator.estimate(&sensors, Some(&motions), echoes.clone(), wall.clone())?;
             let Offset { seconds, standard_error_s } = found.offset;
             report.noise_mm = found.shift_sd_mm;
             report.solver_steps += found.solver_steps;
@@ -90,15 +89,15 @@ impl Tracker {
             report.offset_corrected = seconds.abs() > SIGNIFICANT * standard_error_s;
             if report.offset_corrected {
                 sensors = moved(&sensors, &motions, seconds);
-                *echoes = (scene.place)(&sensors);
-                work.settle(echoes, wall);
-                *wall = wall::refit(grid, echoes, settings.roughness, wall.clone())?;
+                *echoes = prepared.echoes(&sensors);
+                estimator.project(echoes, wall);
+                *wall = refit(grid, echoes, settings.roughness, wall.clone())?;
             }
         }
         if settings.correct_poses {
-            let found = work.estimate(&sensors, None, std::mem::take(echoes), wall.clone());
+            let found = estimator.estimate(&sensors, None, std::mem::take(echoes), wall.clone())?;
             *echoes = found.echoes;
-            *wall = wall::refit(grid, echoes, settings.roughness, found.wall)?;
+            *wall = refit(grid, echoes, settings.roughness, found.wall)?;
             let parts: Vec<_> = found.errors.iter().map(|e| split(e, grid.radius_mm())).collect();
             let rms = |of: fn(&(DVec3, DVec3)) -> f64| {
                 (parts.iter().map(of).sum::<f64>() / parts.len().max(1) as f64).sqrt()
@@ -108,18 +107,18 @@ impl Tracker {
             report.shift_mm = rms(|(shift, _)| shift.length_squared());
             report.turn_deg = rms(|(_, turn)| turn.length_squared()).to_degrees();
         }
-        Ok(report)
+        Ok(Some(report))
     }
 }
 
-/// What works on a scene.
-struct Work<'a> {
-    scene: &'a Scene<'a>,
+/// Estimates the errors of a recording's poses.
+struct Estimator<'a> {
+    prepared: &'a Prepared<'a>,
     solver: Solver,
     roughness: f64,
 }
 
-/// What was estimated, and echoes and wall without these errors.
+/// The estimated errors, and echoes and wall without them.
 struct Estimate {
     errors: Vec<Twist>,
     shift_sd_mm: f64,
@@ -129,39 +128,39 @@ struct Estimate {
     wall: Wall,
 }
 
-impl Work<'_> {
-    /// Estimates the errors of the poses, and where there are motions the offset along them too: both at once, or one
-    /// would pass for the other.
+impl Estimator<'_> {
+    /// Estimates the errors of the poses, and with `motions` the offset along them: at the same time, since each could
+    /// otherwise be mistaken for the other.
     fn estimate(
         &self,
         sensors: &[Pose],
         motions: Option<&[Motion]>,
         mut echoes: Vec<Echo>,
         mut wall: Wall,
-    ) -> Estimate {
-        let Scene { grid, axis, place, .. } = *self.scene;
+    ) -> Result<Estimate> {
+        let Prepared { grid, axis, .. } = self.prepared;
         let still = vec![Motion::default(); sensors.len()];
         let along = motions.unwrap_or(&still);
-        let mut levels = Levels { noise_mm: wall.noise_mm, shift_mm: START_SHARE * wall.noise_mm };
+        let mut levels = NoiseLevels { noise_mm: wall.noise_mm, shift_mm: START_SHARE * wall.noise_mm };
         let mut errors = vec![Twist::default(); sensors.len()];
         let mut offset = Offset { seconds: 0.0, standard_error_s: f64::INFINITY };
         let mut search = Search::new();
-        let mut eased = Eased::default();
+        let mut prior = BendingPrior::default();
         let mut now = sensors.to_vec();
         let mut solver_steps = 0;
-        wall.out_of_plane = OUT_OF_PLANE;
-        for round in 0..MOST_ROUNDS {
+        wall.out_of_plane = CONTOUR_OUT_OF_PLANE;
+        for round in 0..MAX_ROUNDS {
             let joint = Joint::about((grid, &self.solver), axis, &echoes, &wall, &now, &errors, along);
-            let fit = joint.fit(levels, FITS, self.roughness, &mut eased, &mut wall.radii_mm);
-            let mut is_left = false;
+            let fit = joint.fit(levels, FITS, self.roughness, &mut prior, &mut wall.radii_mm)?;
+            let mut is_offset_left = false;
             if motions.is_some() {
-                let step = joint.offset(&fit, self.roughness, &eased, &wall.radii_mm);
-                // No motion, no offset.
+                let step = joint.offset(&fit, self.roughness, &prior, &wall.radii_mm)?;
+                // Not finite without any motion.
                 if step.seconds.is_finite() {
                     let step = search.step(offset.seconds, step);
                     offset.seconds += step.seconds;
                     offset.standard_error_s = step.standard_error_s;
-                    is_left = step.seconds.abs() > ENOUGH_ERRORS * step.standard_error_s;
+                    is_offset_left = step.seconds.abs() > ENOUGH_ERRORS * step.standard_error_s;
                 }
             }
             levels = fit.levels;
@@ -172,28 +171,29 @@ impl Work<'_> {
             now.iter_mut()
                 .zip(&errors)
                 .for_each(|(pose, error)| *pose = corrected(pose, error, grid.radius_mm()));
-            echoes = place(&now);
-            self.settle(&mut echoes, &wall);
-            if round + 1 >= LEAST_ROUNDS && !is_left {
+            echoes = self.prepared.echoes(&now);
+            self.project(&mut echoes, &wall);
+            if round + 1 >= MIN_ROUNDS && !is_offset_left {
                 break;
             }
         }
-        Estimate { errors, shift_sd_mm: levels.shift_mm, offset, solver_steps, echoes, wall }
+        Ok(Estimate { errors, shift_sd_mm: levels.shift_mm, offset, solver_steps, echoes, wall })
     }
 
-    /// Lets the echoes find their feet.
-    fn settle(&self, echoes: &mut [Echo], wall: &Wall) {
-        for _ in 0..FOOT_STEPS {
-            wall::measure(self.scene.grid, echoes, wall, true);
+    /// Moves the echoes' projections until they converge.
+    fn project(&self, echoes: &mut [Echo], wall: &Wall) {
+        for _ in 0..PROJECTION_STEPS {
+            wall.residual_model(&self.prepared.grid).measure_all(echoes, true);
         }
     }
 }
 
-/// The search for where Gauss-Newton steps for the offset are nought.
+/// The search for the offset at which Gauss-Newton steps are 0.
 ///
-/// Noise of the wall's slopes makes an offset look better known than it is, and every step too short by the same
-/// factor. Two steps tell the factor: they shrink by as much as the offset explains of them.
+/// Noise of the wall's slopes makes the information about an offset too large, and every step too short by the same factor.
+/// Two steps determine the factor: they decrease by as much as the offset explains of them.
 struct Search {
+    /// The offset before the last step and the step, s.
     before: Option<(f64, f64)>,
     factor: f64,
 }
@@ -203,26 +203,26 @@ impl Search {
         Self { before: None, factor: 1.0 }
     }
 
-    /// The step from an offset, and its standard error, in full length.
+    /// The step from an offset, and its standard error, at full length.
     fn step(&mut self, at_s: f64, step: Offset) -> Offset {
         if let Some((at_before_s, step_before_s)) = self.before {
-            let way_s = at_s - at_before_s;
-            // On a shorter way the difference of two steps is mostly noise.
-            if way_s.abs() > step.standard_error_s {
-                self.factor = ((step_before_s - step.seconds) / way_s).clamp(LEAST_FACTOR, 1.0);
+            let moved_s = at_s - at_before_s;
+            // Over a shorter interval the difference of two steps is mostly noise.
+            if moved_s.abs() > step.standard_error_s {
+                self.factor = ((step_before_s - step.seconds) / moved_s).clamp(MIN_FACTOR, 1.0);
             }
         }
         self.before = Some((at_s, step.seconds));
         Offset {
-            // Farther than the window a step is not linear.
+            // Beyond the window a step is not linear.
             seconds: (step.seconds / self.factor).clamp(-VELOCITY_WINDOW_S, VELOCITY_WINDOW_S),
             standard_error_s: step.standard_error_s / self.factor,
         }
     }
 }
 
-/// Poses that are `seconds` later along their motion. Not interpolated between their neighbours: that would average
-/// their noise away halfway between two frames, and the offset would be drawn there.
+/// The poses `seconds` later along their motion. Interpolation between neighbours would average the noise away halfway
+/// between two frames, and bias the offset towards there.
 fn moved(sensors: &[Pose], motions: &[Motion], seconds: f64) -> Vec<Pose> {
     let moved = |(pose, motion): (&Pose, &Motion)| Pose {
         rotation: DMat3::from_quat(DQuat::from_scaled_axis(motion.turn_rad * seconds)) * pose.rotation,
@@ -231,7 +231,7 @@ fn moved(sensors: &[Pose], motions: &[Motion], seconds: f64) -> Vec<Pose> {
     sensors.iter().zip(motions).map(moved).collect()
 }
 
-/// How the poses move about each frame: slopes of position and of the rotation vector from that frame.
+/// The velocity of the pose at each frame: slopes of position and of the rotation vector from that frame.
 fn motions(frames: &[Frame]) -> Result<Vec<Motion>> {
     let needed = |frame, found: String| Error::Frame {
         frame,

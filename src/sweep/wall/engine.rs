@@ -1,24 +1,25 @@
-//! Where the wall is fitted.
+//! The choice of the engine that fits the wall.
 
-use super::echo::Echo;
+use super::cpu::CpuWallEngine;
+use super::fit::{self, Wall, start_mm};
 #[cfg(feature = "gpu")]
 use super::gpu::GpuWallEngine;
-use super::grid::Grid;
-use super::{OnCpu, Wall};
 use crate::Result;
 use crate::engine::{EngineDescription, WORTH_A_DEVICE_S};
 use crate::settings::{Backend, Settings};
+use crate::sweep::prepare::echo::Echo;
+use crate::sweep::prepare::grid::WallGrid;
 
-/// CPU time of an echo in a reweighting and of a node in a step of the solver, in seconds, about twice what a server
-/// processor takes; reweightings, and steps in each. They steer the choice of [`Backend::Auto`], not a result.
+/// CPU time of an echo in a reweighting and of a node in a step of the solver, in seconds, about twice that of a server
+/// processor; reweightings, and steps in each. They affect the choice of [`Backend::Auto`], but no result.
 const SECONDS_PER_ECHO: f64 = 200e-9;
 const SECONDS_PER_NODE: f64 = 50e-9;
 const USUAL_ITERATIONS: f64 = 8.0;
 const USUAL_STEPS: f64 = 15.0;
 
-/// Fits the wall where the settings say.
+/// Fits the wall on the backend of the settings.
 pub(in crate::sweep) fn fit(
-    grid: &Grid,
+    grid: &WallGrid,
     echoes: &mut [Echo],
     settings: &Settings,
 ) -> Result<(Wall, EngineDescription)> {
@@ -33,7 +34,7 @@ pub(in crate::sweep) fn fit(
             expected: "auto or cpu with sweep.half_life_s: devices weigh all echoes alike".into(),
         }),
         Backend::Cpu => fit_on_cpu(grid, echoes, settings, None),
-        // The CPU's sweep is the yardstick already.
+        // On the CPU the sweep is its own reference.
         Backend::Reference => {
             let (wall, engine) = fit_on_cpu(grid, echoes, settings, None)?;
             Ok((wall, EngineDescription { name: "reference".into(), ..engine }))
@@ -75,24 +76,36 @@ pub(in crate::sweep) fn fit(
     }
 }
 
+/// Continues the fit of a wall, on the CPU.
+pub(in crate::sweep) fn refit(
+    grid: &WallGrid,
+    echoes: &mut [Echo],
+    roughness: f64,
+    wall: Wall,
+) -> Result<Wall> {
+    let start_mm = start_mm(echoes);
+    fit::reweighted(CpuWallEngine::new(grid, echoes, wall.clone()), grid, start_mm, roughness, wall)
+}
+
 fn fit_on_cpu(
-    grid: &Grid,
+    grid: &WallGrid,
     echoes: &mut [Echo],
     settings: &Settings,
     why: Option<String>,
 ) -> Result<(Wall, EngineDescription)> {
-    let start_mm = super::start_mm(echoes);
-    let wall = super::fit(OnCpu::new(grid, echoes, start_mm), grid, start_mm, settings.sweep.roughness)?;
+    let start_mm = start_mm(echoes);
+    let engine = CpuWallEngine::new(grid, echoes, Wall::tube(grid, start_mm));
+    let wall = fit::fit(engine, grid, start_mm, settings.sweep.roughness)?;
     Ok((wall, EngineDescription { name: "cpu".into(), adapter: None, why }))
 }
 
 #[cfg(feature = "gpu")]
 pub(in crate::sweep) fn fit_on_device(
-    grid: &Grid,
+    grid: &WallGrid,
     echoes: &mut [Echo],
     settings: &Settings,
     engine: &GpuWallEngine,
 ) -> Result<Wall> {
-    let start_mm = super::start_mm(echoes);
-    super::fit(engine.wall(grid, echoes, start_mm)?, grid, start_mm, settings.sweep.roughness)
+    let start_mm = start_mm(echoes);
+    fit::fit(engine.wall(grid, echoes, start_mm)?, grid, start_mm, settings.sweep.roughness)
 }

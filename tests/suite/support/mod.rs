@@ -1,5 +1,7 @@
 //! What tests share: shapes, recorded data and outside tools.
 
+pub mod vessel;
+
 use glam::DVec3;
 use lumenmesh::surface::Surface;
 use std::io::Write;

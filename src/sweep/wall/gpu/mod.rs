@@ -10,10 +10,12 @@ use crate::Result;
 use crate::engine::EngineDescription;
 use crate::gpu::{AdapterDescription, Context, GpuError, Runner};
 use crate::numerics::banded::Dissected;
-use crate::sweep::wall::echo::{self, OUT_OF_PLANE};
-use crate::sweep::wall::grid::{Ease, Grid, MOST_STEPS};
+use crate::recording::echo_error::OUT_OF_PLANE;
+use crate::sweep::prepare::{echo, grid::WallGrid};
+use crate::sweep::wall::bending::LocalSmoothness;
+use crate::sweep::wall::fit::{Reweighting, Solution, WallEngine};
 use crate::sweep::wall::passes::{DeviceEcho, Factors, State, WallParameters};
-use crate::sweep::wall::{Drawn, Round, WallEngine};
+use crate::sweep::wall::solver::MAX_STEPS;
 use rayon::prelude::*;
 
 /// Steps of conjugate gradients between two tests of convergence on the CPU. Steps after convergence do
@@ -136,7 +138,7 @@ impl GpuWallEngine {
     /// A wall and echoes on the device.
     pub(in crate::sweep) fn wall<'a>(
         &'a self,
-        grid: &'a Grid,
+        grid: &'a WallGrid,
         echoes: &'a mut [echo::Echo],
         start_mm: f64,
     ) -> Result<OnDevice<'a>> {
@@ -156,7 +158,7 @@ impl GpuWallEngine {
 pub(in crate::sweep) struct OnDevice<'a> {
     engine: &'a GpuWallEngine,
     workspace: WallWorkspace,
-    grid: &'a Grid,
+    grid: &'a WallGrid,
     echoes: &'a mut [echo::Echo],
     start_mm: f64,
 }
@@ -185,11 +187,12 @@ impl WallEngine for OnDevice<'_> {
         Ok(f64::from(residual_mm))
     }
 
-    fn draw(&mut self, round: &Round) -> Result<Drawn> {
+    fn solve(&mut self, reweighting: &Reweighting) -> Result<Solution> {
         let (engine, context, grid) = (self.engine, &self.engine.runner.context, self.grid);
-        let parameters = WallParameters { gated: u32::from(!round.rough), ..*self.workspace.parameters() }
-            .with_noise(round.noise_mm)
-            .with_smoothness(round.smoothness_mm2, grid.step_mm, grid.arc_mm);
+        let parameters =
+            WallParameters { gated: u32::from(!reweighting.warm_up), ..*self.workspace.parameters() }
+                .with_noise(reweighting.noise_mm)
+                .with_smoothness(reweighting.smoothness_mm2, grid.step_mm, grid.arc_mm);
         self.workspace.set_parameters(context, &parameters);
         let sums = ["sums_low", "sums_high"].map(|name| self.workspace.shared(name));
         let ring_weights = self.workspace.shared("ring_weights");
@@ -205,7 +208,7 @@ impl WallEngine for OnDevice<'_> {
         // In f64 and on the CPU, where nearly singular systems stay positive definite: without echoes on a
         // ring, only the wall's bending determines it.
         let weight: f64 = ring_weights.iter().sum();
-        let factors = factors(grid, &parameters, ring_weights, round.smoothness_mm2);
+        let factors = factors(grid, &parameters, ring_weights, reweighting.smoothness_mm2);
         let factors =
             factors.ok_or(GpuError::Wrong { what: "weights of the rings", found: weight.to_string() })?;
         context.write(self.workspace.shared("factors"), bytemuck::cast_slice(&factors.rings));
@@ -215,7 +218,7 @@ impl WallEngine for OnDevice<'_> {
         context.write(self.workspace.shared("state"), bytemuck::bytes_of(&State::default()));
         let stages = [Stage::RightHandSide, Stage::Precondition];
         let whole = self.sum_of_partials(&stages, self.workspace.frequency_groups())?;
-        let max_residual_square = (round.tolerance * round.tolerance * whole) as f32;
+        let max_residual_square = (reweighting.tolerance * reweighting.tolerance * whole) as f32;
         self.workspace.set_parameters(context, &WallParameters { max_residual_square, ..parameters });
         let solver_steps = self.conjugate_gradients()?;
 
@@ -224,7 +227,7 @@ impl WallEngine for OnDevice<'_> {
         if !travel_mm.is_finite() {
             return Err(GpuError::Wrong { what: "travel of the nodes", found: travel_mm.to_string() }.into());
         }
-        Ok(Drawn { travel_mm, solver_steps })
+        Ok(Solution { travel_mm, solver_steps })
     }
 
     fn finish(self) -> Result<Vec<f64>> {
@@ -239,7 +242,7 @@ impl WallEngine for OnDevice<'_> {
             let shifts: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(shifts);
             let residuals: Vec<f32> = bytemuck::pod_collect_to_vec(residuals);
             for ((echo, shift), residual) in echoes.by_ref().take(count).zip(shifts).zip(residuals) {
-                echo.set_way(shift.map(f64::from), f64::from(residual));
+                echo.set_residual(shift.map(f64::from), f64::from(residual));
             }
         }
         let wall: Vec<f32> = bytemuck::pod_collect_to_vec(&read[0]);
@@ -261,7 +264,7 @@ impl OnDevice<'_> {
         let [state, residual, product] =
             ["state", "cg_residual", "product"].map(|name| self.workspace.shared(name));
         let steps = [Stage::Precondition, Stage::Step].repeat(STEPS_PER_SUBMISSION);
-        for submission in 0..MOST_STEPS.div_ceil(STEPS_PER_SUBMISSION) {
+        for submission in 0..MAX_STEPS.div_ceil(STEPS_PER_SUBMISSION) {
             let read = self.engine.run(&self.workspace, &steps, &[state], |encoder| {
                 if submission == 0 {
                     // `assemble` has written it there.
@@ -269,17 +272,17 @@ impl OnDevice<'_> {
                 }
             })?;
             let state: State = bytemuck::pod_read_unaligned(&read[0]);
-            if state.done != 0 || state.steps as usize >= MOST_STEPS {
+            if state.done != 0 || state.steps as usize >= MAX_STEPS {
                 return Ok(state.steps as usize);
             }
         }
-        Ok(MOST_STEPS)
+        Ok(MAX_STEPS)
     }
 }
 
 /// The factored systems of the preconditioner; `None` where the weights are not finite.
 fn factors(
-    grid: &Grid,
+    grid: &WallGrid,
     parameters: &WallParameters,
     ring_weights: Vec<f64>,
     smoothness_mm2: f64,
@@ -289,7 +292,7 @@ fn factors(
     let systems: Vec<Dissected> = (0..frequencies)
         .into_par_iter()
         .map(|frequency| {
-            let system = grid.system(frequency, &weights, smoothness_mm2, &Ease::default());
+            let system = grid.system(frequency, &weights, smoothness_mm2, LocalSmoothness::EVEN);
             system.dissected(parameters.blocks as usize, parameters.block_rings as usize)
         })
         .collect::<Option<_>>()?;
@@ -301,7 +304,7 @@ fn factors(
     for (separator, row) in factors.separators.chunks_mut(frequencies).enumerate() {
         row.iter_mut()
             .zip(&systems)
-            .for_each(|(factors, s)| *factors = s.joints[separator].map(|x| x as f32));
+            .for_each(|(factors, s)| *factors = s.separators[separator].map(|x| x as f32));
     }
     Some(factors)
 }
@@ -309,7 +312,7 @@ fn factors(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sweep::wall::grid::Solver;
+    use crate::sweep::wall::solver::Solver;
     use crate::sweep::wall::passes::{
         couple, eliminate, hartley_first, hartley_second_spectrum, hartley_second_values, substitute,
         twiddles,
@@ -325,7 +328,7 @@ mod tests {
     #[test]
     fn systems_in_blocks_have_the_solutions_of_whole_ones() {
         for (rings, nodes, smoothness) in [(9, 8, 1.0), (100, 9, 1e-3), (300, 24, 60.0), (301, 24, 60.0)] {
-            let grid = Grid::new(rings, nodes, 1.1, 4.0);
+            let grid = WallGrid::new(rings, nodes, 1.1, 4.0);
             let parameters = WallParameters::new(rings as u32, nodes as u32, 4.0, 0.1);
             let factors = factors(&grid, &parameters, ring_weights(rings), smoothness).unwrap();
             let twiddles = twiddles(nodes as u32);
@@ -358,7 +361,7 @@ mod tests {
 
     #[test]
     fn weights_that_are_no_numbers_have_no_factors() {
-        let grid = Grid::new(100, 9, 1.1, 4.0);
+        let grid = WallGrid::new(100, 9, 1.1, 4.0);
         assert!(factors(&grid, &WallParameters::new(100, 9, 4.0, 0.1), vec![f64::NAN; 100], 1.0).is_none());
     }
 }

@@ -1,5 +1,5 @@
 //! The gradient of the bending energy (`shaders/sweep/common/bending.wgsl`). In f64 this is
-//! `Grid::add_bending`.
+//! `WallGrid::add_bending`.
 
 use super::WallParameters;
 
@@ -53,12 +53,13 @@ pub fn bending(parameters: &WallParameters, x: &[f32], k: usize, j: usize) -> f3
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sweep::wall::grid::Grid;
+    use crate::sweep::prepare::grid::WallGrid;
+    use crate::sweep::wall::bending::LocalSmoothness;
 
     #[test]
     fn the_bending_is_the_cpu_s() {
         for rings in [3, 4, 7] {
-            let grid = Grid { rings, nodes: 8, step_mm: 1.3, arc_mm: 0.9 };
+            let grid = WallGrid { rings, nodes: 8, step_mm: 1.3, arc_mm: 0.9 };
             let parameters = WallParameters::new(rings as u32, 8, 5.0, 0.1).with_smoothness(
                 3.0,
                 grid.step_mm,
@@ -67,7 +68,7 @@ mod tests {
             let x: Vec<f32> = (0..8 * rings).map(|i| (0.7 * (i * i) as f32).sin()).collect();
             let mut expected = vec![0.0; x.len()];
             let wide: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
-            grid.add_bending(&wide, 3.0, &crate::sweep::wall::grid::Ease::default(), &mut expected);
+            grid.add_bending(&wide, 3.0, LocalSmoothness::EVEN, &mut expected);
             for (node, expected) in expected.iter().enumerate() {
                 let found = bending(&parameters, &x, node / 8, node % 8);
                 // Some thirty roundings of sums of up to 64 numbers of at most 1, times 4.

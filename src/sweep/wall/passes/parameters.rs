@@ -2,8 +2,8 @@
 //! a test compares the layouts.
 
 use crate::numerics::Scalar;
-use crate::sweep::wall::HUBER;
-use crate::sweep::wall::echo::{FARTHEST_FOOT_SDS, GATE_RADII, GATE_SDS};
+use crate::numerics::robust::HUBER;
+use crate::sweep::wall::residual::{GATE_RADII, GATE_SDS, MAX_PROJECTION_SDS};
 use bytemuck::{Pod, Zeroable};
 use std::f64::consts::TAU;
 
@@ -107,7 +107,7 @@ impl WallParameters {
         Self {
             noise: noise_mm as f32,
             per_noise: (1.0 / noise_mm) as f32,
-            max_projection: (FARTHEST_FOOT_SDS * noise_mm) as f32,
+            max_projection: (MAX_PROJECTION_SDS * noise_mm) as f32,
             gate: (GATE_SDS * noise_mm) as f32,
             huber: (HUBER * noise_mm) as f32,
             ..self

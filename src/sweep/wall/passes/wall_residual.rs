@@ -1,5 +1,5 @@
 //! The residual of an echo along its error ellipsoid (`shaders/sweep/common/wall_residual.wgsl`). In f64 this
-//! is `Echo::measure` of the CPU.
+//! is `ResidualModel::measure` of the CPU.
 
 use super::{DeviceEcho, WallParameters};
 
@@ -101,16 +101,19 @@ pub fn residual_to_wall(
 #[cfg(all(test, feature = "gpu"))]
 mod tests {
     use super::*;
+    use crate::recording::echo_error::OUT_OF_PLANE;
     use crate::sweep::prepare::axis::Place;
-    use crate::sweep::wall::Wall;
-    use crate::sweep::wall::echo::{Echo as OnCpu, OUT_OF_PLANE};
-    use crate::sweep::wall::grid::{Equations, Grid};
+    use crate::sweep::prepare::echo::Echo as OnCpu;
+    use crate::sweep::prepare::grid::WallGrid;
+    use crate::sweep::wall::equations::Equations;
+    use crate::sweep::wall::fit::Wall;
     use crate::sweep::wall::passes::{accumulate, measure};
+    use crate::sweep::wall::residual::gate;
     use glam::{DMat3, DVec3};
     use rand::{RngExt, SeedableRng};
     use std::f64::consts::TAU;
 
-    const GRID: Grid = Grid { rings: 40, nodes: 24, step_mm: 2.6, arc_mm: TAU * 10.0 / 24.0 };
+    const GRID: WallGrid = WallGrid { rings: 40, nodes: 24, step_mm: 2.6, arc_mm: TAU * 10.0 / 24.0 };
     const START_MM: f64 = 10.3;
     const NOISE_MM: f64 = 0.8;
 
@@ -162,13 +165,13 @@ mod tests {
             for (echo, shift) in echoes.iter_mut().zip(&mut shifts) {
                 let (residual, moved) =
                     measure(&parameters, &echo.for_device(&GRID, START_MM), &wall, *shift);
-                let before = echo.foot();
-                echo.measure(on_cpu(&radii, NOISE_MM).held(&GRID), true);
+                let before = echo.projection();
+                on_cpu(&radii, NOISE_MM).residual_model(&GRID).measure(echo, true);
                 // A dozen roundings of some 4 mm.
-                if (f64::from(residual) - echo.miss_mm).abs() > 2e-5 {
+                if (f64::from(residual) - echo.residual_mm).abs() > 2e-5 {
                     on_other_triangles += 1;
                     let place = (before.0.fract() - before.1.rem_euclid(1.0)).abs();
-                    assert!(place.min(before.0.fract()) < 1e-5, "{round}: {residual} {}", echo.miss_mm);
+                    assert!(place.min(before.0.fract()) < 1e-5, "{round}: {residual} {}", echo.residual_mm);
                 }
                 *shift = moved;
             }
@@ -176,7 +179,7 @@ mod tests {
         }
         let apart = |(echo, shift): (&OnCpu, &[f32; 2])| {
             let device = echo.for_device(&GRID, START_MM);
-            let projection = echo.foot();
+            let projection = echo.projection();
             let ring =
                 f64::from(device.ring) + f64::from(device.ring_part) + f64::from(shift[0]) - projection.0;
             let node =
@@ -198,12 +201,11 @@ mod tests {
             let mut expected = Equations::over(&GRID, 0..GRID.rings);
             for mut echo in echoes.iter().copied() {
                 accumulate(&parameters, &echo.for_device(&GRID, START_MM), &wall, [0.0; 2], &mut sums);
-                let measured = echo.measure(on_cpu(&radii, NOISE_MM / 4.0).held(&GRID), false);
-                let residual = echo.miss_mm.abs();
-                if gated == 0 || residual <= crate::sweep::wall::echo::gate(NOISE_MM / 4.0, measured.wall_mm)
-                {
-                    let robust = (crate::sweep::wall::HUBER * NOISE_MM / 4.0 / residual).min(1.0);
-                    let corners = GRID.corners(echo.foot().0, echo.foot().1);
+                let measured = on_cpu(&radii, NOISE_MM / 4.0).residual_model(&GRID).measure(&mut echo, false);
+                let residual = echo.residual_mm.abs();
+                if gated == 0 || residual <= gate(NOISE_MM / 4.0, measured.wall_mm) {
+                    let robust = (crate::numerics::robust::HUBER * NOISE_MM / 4.0 / residual).min(1.0);
+                    let corners = GRID.corners(echo.projection().0, echo.projection().1);
                     expected.add(&corners, robust * measured.weight, measured.radial_mm * 4.0 / NOISE_MM);
                 }
             }

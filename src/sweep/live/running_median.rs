@@ -1,35 +1,35 @@
-//! The median of values that come and go.
+//! A running median of values that are added and removed.
 
-/// Least value that is told from zero.
-const LEAST: f64 = 1e-9;
-/// Bins for a factor of e: they are 1 % wide.
+/// The smallest value that differs from 0.
+const MIN: f64 = 1e-9;
+/// Bins per factor of e: each is 1 % wide.
 const BINS_PER_E: f64 = 100.0;
-/// Up to 4e9.
+/// Up to a value of 4e9.
 const BINS: usize = 4300;
 
-/// A running median of positive numbers, to 1 %: counts over logarithmic bins, so that values can be taken out again and
-/// neither time nor memory grows with their number.
+/// A running median of positive numbers, to 1 %. It counts values in logarithmic bins, so that values can be removed again
+/// and neither time nor memory grows with their number.
 #[derive(Debug, Clone)]
-pub(super) struct Median {
+pub(super) struct RunningMedian {
     counts: Vec<u64>,
     total: u64,
 }
 
-impl Median {
+impl RunningMedian {
     pub fn new() -> Self {
         Self { counts: vec![0; BINS], total: 0 }
     }
 
-    /// Adds a value; its bin takes it out again.
+    /// Adds a value and returns its bin, with which it can be removed again.
     pub fn add(&mut self, value: f64) -> u16 {
-        let bin = ((value / LEAST).ln() * BINS_PER_E).clamp(0.0, (BINS - 1) as f64) as u16;
+        let bin = ((value / MIN).ln() * BINS_PER_E).clamp(0.0, (BINS - 1) as f64) as u16;
         self.counts[usize::from(bin)] += 1;
         self.total += 1;
         bin
     }
 
-    /// Takes out a value that [`Median::add`] put into that bin.
-    pub fn take(&mut self, bin: u16) {
+    /// Removes a value that [`RunningMedian::add`] put into that bin.
+    pub fn remove(&mut self, bin: u16) {
         self.counts[usize::from(bin)] -= 1;
         self.total -= 1;
     }
@@ -41,7 +41,7 @@ impl Median {
             below += count;
             below > self.total / 2
         });
-        bin.filter(|&bin| bin > 0).map_or(0.0, |bin| LEAST * ((bin as f64 + 0.5) / BINS_PER_E).exp())
+        bin.filter(|&bin| bin > 0).map_or(0.0, |bin| MIN * ((bin as f64 + 0.5) / BINS_PER_E).exp())
     }
 }
 
@@ -51,15 +51,15 @@ mod tests {
 
     #[test]
     fn it_is_the_median_to_one_percent_while_values_come_and_go() {
-        let mut median = Median::new();
+        let mut median = RunningMedian::new();
         assert_eq!(median.value(), 0.0);
         let bins: Vec<u16> = (1..=1000).map(|k| median.add(f64::from(k))).collect();
         assert!((median.value() / 501.0 - 1.0).abs() < 0.01, "{}", median.value());
-        bins[..800].iter().for_each(|&bin| median.take(bin));
+        bins[..800].iter().for_each(|&bin| median.remove(bin));
         assert!((median.value() / 901.0 - 1.0).abs() < 0.01, "{}", median.value());
         for odd in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e300] {
             let bin = median.add(odd);
-            median.take(bin);
+            median.remove(bin);
         }
         assert!((median.value() / 901.0 - 1.0).abs() < 0.01, "{}", median.value());
     }

@@ -1,0 +1,560 @@
+//! The vessel that a live sweep has found so far.
+
+use super::band::{EchoBand, Sample};
+use super::curve::{Curve, Growth};
+use super::running_median::RunningMedian;
+use crate::geometry::{Pose, rotation_minimising_frames, transported};
+use crate::numerics::robust::{SD_PER_MAD, median};
+use crate::recording::Frame;
+use crate::recording::echo_error::OUT_OF_PLANE;
+use crate::settings::Settings;
+use crate::sweep::prepare::axis::Axis;
+use crate::sweep::prepare::contour::Outline;
+use crate::sweep::prepare::echo::Echo;
+use crate::sweep::prepare::grid::WallGrid;
+use crate::sweep::support::{Support, Tally, max_error_mm};
+use crate::sweep::wall::equations::Equations;
+use crate::sweep::wall::residual::ResidualModel;
+use crate::sweep::wall::solver::{Solver, System};
+use glam::{DMat3, DVec3};
+use std::collections::VecDeque;
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+/// Largest number of echoes beyond the ends that wait until the axis reaches them.
+const MAX_PENDING: usize = 2048;
+/// Largest number of rings of the window about a frame.
+const MAX_WINDOW: usize = 48;
+/// Rings of the background window, and the rings that it advances per frame.
+const BACKGROUND_WINDOW: usize = 24;
+const BACKGROUND_STEP: usize = 16;
+/// Largest number of samples whose residuals are evaluated again per window.
+const MAX_MEASURED: usize = 4000;
+/// Residuals stay valid while no node about has moved by more than this share of the noise.
+const ENOUGH_NOISE_SHARE: f64 = 0.002;
+/// Steps of the solver for a window, and the share of the residual that may remain.
+const MAX_STEPS: usize = 8;
+const SOLVED_SHARE: f64 = 0.02;
+/// Largest distance of projections from their echoes, in rings.
+const MAX_PROJECTION: usize = 16;
+/// Rings beside a window that affect the support in it.
+const SUPPORT_MARGIN: usize = 8;
+/// Rounds over the first frames, and those of them that are a warm-up.
+const FIRST_ROUNDS: usize = 5;
+const WARM_UP_ROUNDS: usize = 2;
+
+/// The change of the vessel by a frame.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Step {
+    /// Rings that were added in front.
+    pub before: usize,
+    /// Rings that changed.
+    pub changed: Vec<Range<usize>>,
+    /// Echoes that were placed or whose residuals were evaluated.
+    pub echoes: usize,
+    /// Rings that were solved for.
+    pub rings: usize,
+    /// Whether its centre is too far from the axis for its echoes to be placed.
+    pub off_axis: bool,
+}
+
+/// A frame in the world.
+#[derive(Clone)]
+pub(super) struct PlacedFrame {
+    pub number: u32,
+    pub time_s: f64,
+    pub world_from_probe: Pose,
+    pub frame: Frame,
+    pub outline: Option<Outline>,
+}
+
+impl PlacedFrame {
+    /// The centre of the outline in the world.
+    pub fn centre_mm(&self) -> Option<DVec3> {
+        Some(self.world_from_probe.transform_point(self.outline?.centre_mm.extend(0.0)))
+    }
+}
+
+/// An echo beyond the ends of the axis.
+struct PendingEcho {
+    point_mm: DVec3,
+    image_normal: DVec3,
+    frame: u32,
+    time_s: f64,
+}
+
+/// The vessel found so far.
+pub(super) struct GrowingVessel {
+    curve: Curve,
+    /// Length along the curve of the first ring, mm.
+    origin_mm: f64,
+    pub axis: Axis,
+    pub grid: WallGrid,
+    solver: Solver,
+    roughness: f64,
+    half_life_s: Option<f64>,
+    pub radii_mm: Vec<f64>,
+    /// Band k lies between ring k and the next.
+    bands: Vec<EchoBand>,
+    /// The bands from the first to the last with echoes.
+    observed: Range<usize>,
+    /// Echoes beyond the ends, the oldest first.
+    pending: VecDeque<PendingEcho>,
+    pub support: Support,
+    /// Running medians of |residual|, of the weight of the echoes at a node, and of the nodes' standard errors.
+    residuals: RunningMedian,
+    densities: RunningMedian,
+    errors: RunningMedian,
+    /// The nodes' bins in the last two.
+    bins: Vec<[Option<u16>; 2]>,
+    /// The first ring of the background window.
+    background: usize,
+}
+
+impl GrowingVessel {
+    /// A vessel along a curve, without echoes.
+    pub fn along(curve: Curve, nodes: usize, step_mm: f64, radius_mm: f64, settings: &Settings) -> Self {
+        let rings = (curve.length_mm() / step_mm) as usize + 1;
+        let (points_mm, tangents): (Vec<_>, Vec<_>) =
+            (0..rings).map(|k| curve.at(k as f64 * step_mm / curve.spacing_mm())).unzip();
+        let frames = rotation_minimising_frames(&points_mm, &tangents);
+        let grid = WallGrid::new(rings, nodes, step_mm, radius_mm);
+        let mut vessel = Self {
+            curve,
+            origin_mm: 0.0,
+            axis: Axis { points_mm, frames, step_mm },
+            grid: WallGrid { rings: 0, ..grid },
+            solver: Solver::new(grid),
+            roughness: settings.sweep.roughness,
+            half_life_s: settings.sweep.half_life_s,
+            radii_mm: Vec::new(),
+            bands: Vec::new(),
+            observed: 0..0,
+            pending: VecDeque::new(),
+            support: Support::none(),
+            residuals: RunningMedian::new(),
+            densities: RunningMedian::new(),
+            errors: RunningMedian::new(),
+            bins: Vec::new(),
+            background: 0,
+        };
+        vessel.insert_rings(0, rings);
+        vessel
+    }
+
+    /// Places the first frames and fits the wall about them.
+    pub fn start(&mut self, frames: &[PlacedFrame]) -> Step {
+        let mut step = Step::default();
+        let samples: Vec<(usize, Sample, f64)> =
+            frames.iter().flat_map(|frame| self.placed(frame, false)).collect();
+        let mut radii: Vec<f64> = samples.iter().map(|(_, sample, _)| sample.echo.radius_mm).collect();
+        let start_mm = median(&mut radii);
+        self.radii_mm.fill(start_mm);
+        for (band, sample, time_s) in samples {
+            self.insert(band, sample, time_s, start_mm, true);
+        }
+        for round in 0..FIRST_ROUNDS {
+            let noise_mm = if round < WARM_UP_ROUNDS { start_mm } else { self.noise_mm() };
+            for band in self.observed.clone() {
+                let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
+                self.bands[band].measure(model, &mut self.residuals, round < WARM_UP_ROUNDS);
+                step.echoes += self.bands[band].kept;
+            }
+            step.rings += self.refit(self.observed.start..self.observed.end + 1, &mut 0).len();
+        }
+        step.changed.push(0..self.grid.rings);
+        step
+    }
+
+    /// Adds a frame.
+    pub fn push(&mut self, frame: &PlacedFrame) -> Step {
+        let mut step = Step::default();
+        match frame.centre_mm().map(|centre| self.curve.push(centre)) {
+            Some(Growth::Moved { before, moved }) => {
+                let (before, moved) = self.move_axis(before, moved, &mut step);
+                step.before = before;
+                step.changed.push(moved);
+            }
+            Some(Growth::Outlier) => step.off_axis = true,
+            Some(Growth::None) | None => (),
+        }
+        let noise_mm = self.noise_mm();
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        for (band, sample, time_s) in self.placed(frame, step.off_axis) {
+            step.changed.extend(self.mark_observed(band));
+            let (ring, on_wall) = self.insert(band, sample, time_s, noise_mm, true);
+            step.echoes += 1;
+            if on_wall {
+                (low, high) = (low.min(ring), high.max(ring));
+            }
+        }
+        if low <= high {
+            let middle = (low + high) / 2.0;
+            let reach = ((high - low) / 2.0 + self.margin()).min(MAX_WINDOW as f64 / 2.0);
+            let first = (middle - reach).max(0.0) as usize;
+            let window = first..((middle + reach) as usize + 2).min(self.grid.rings);
+            let mut measured = MAX_MEASURED;
+            let solved = self.refit(window, &mut measured);
+            step.echoes += MAX_MEASURED - measured;
+            step.rings += solved.len();
+            step.changed.push(solved);
+        }
+        step.changed.push(self.refit_background(&mut step.echoes, &mut step.rings));
+        step.changed.retain(|range| !range.is_empty());
+        step.changed.sort_by_key(|range| range.start);
+        step.changed.dedup_by(|next, before| {
+            let joined = next.start <= before.end;
+            if joined {
+                before.end = before.end.max(next.end);
+            }
+            joined
+        });
+        step
+    }
+
+    /// Fits the wall in the background window again, and advances it along the vessel.
+    fn refit_background(&mut self, echoes: &mut usize, rings: &mut usize) -> Range<usize> {
+        if !(self.observed.start..self.observed.end).contains(&self.background) {
+            self.background = self.observed.start;
+        }
+        let window = self.background..(self.background + BACKGROUND_WINDOW).min(self.observed.end + 1);
+        self.background += BACKGROUND_STEP;
+        let mut measured = MAX_MEASURED / 2;
+        let solved = self.refit(window, &mut measured);
+        *echoes += MAX_MEASURED / 2 - measured;
+        *rings += solved.len();
+        solved
+    }
+
+    /// Rings beside the newest echoes that these affect: three times the range of the bending term.
+    fn margin(&self) -> f64 {
+        let density = self.densities.value() / self.grid.cell_mm2();
+        let reach_mm = (self.smoothness_mm2() / density.max(f64::MIN_POSITIVE)).powf(0.25);
+        (3.0 * reach_mm / self.grid.step_mm).clamp(2.0, 12.0)
+    }
+
+    /// Standard deviation of an echo about the wall, mm.
+    pub fn noise_mm(&self) -> f64 {
+        SD_PER_MAD * self.residuals.value()
+    }
+
+    fn smoothness_mm2(&self) -> f64 {
+        let noise_mm = self.grid.smoothed_noise_mm(self.noise_mm(), self.roughness);
+        (noise_mm / self.roughness).powi(2)
+    }
+
+    /// The echoes of a frame about the axis, with their bands; echoes beyond its ends, and all of a frame off the axis, are
+    /// postponed.
+    fn placed(&mut self, placed_frame: &PlacedFrame, off_axis: bool) -> Vec<(usize, Sample, f64)> {
+        let PlacedFrame { number, time_s, world_from_probe, frame, .. } = placed_frame;
+        let to_world = |p: glam::DVec2| world_from_probe.transform_point(p.extend(0.0));
+        let centre = frame.centroid_mm().or_else(|| frame.echoes_mm().next());
+        let near = centre.map_or(0, |centre| self.axis.nearest_ring(to_world(centre)));
+        let image_normal = world_from_probe.rotation.z_axis;
+        let mut placed = Vec::new();
+        for point_mm in frame.echoes_mm().map(to_world) {
+            let sample = (!off_axis).then(|| self.sample(point_mm, image_normal, *number, near));
+            match sample.flatten() {
+                Some((band, sample)) => placed.push((band, sample, *time_s)),
+                None => self.postpone(point_mm, image_normal, placed_frame),
+            }
+        }
+        placed
+    }
+
+    /// An echo about the axis, and its band; the search starts at ring `near`.
+    fn sample(
+        &self,
+        point_mm: DVec3,
+        image_normal: DVec3,
+        frame: u32,
+        near: usize,
+    ) -> Option<(usize, Sample)> {
+        let place = self.axis.place(point_mm, near)?;
+        let echo = Echo::new(&place, image_normal, frame, self.grid.nodes);
+        let (weight, scatter_mm2) = (1.0, 0.0);
+        let sample =
+            Sample { echo, point_mm, image_normal, weight, scatter_mm2, bin: None, is_merged: false };
+        Some((place.ring as usize, sample))
+    }
+
+    fn postpone(&mut self, point_mm: DVec3, image_normal: DVec3, frame: &PlacedFrame) {
+        if self.pending.len() == MAX_PENDING {
+            self.pending.pop_front();
+        }
+        let PlacedFrame { number, time_s, .. } = *frame;
+        self.pending.push_back(PendingEcho { point_mm, image_normal, frame: number, time_s });
+    }
+
+    /// Places the pending echoes that the axis has reached by now.
+    fn place_pending(&mut self, noise_mm: f64, step: &mut Step) {
+        let pending = std::mem::take(&mut self.pending);
+        step.echoes += pending.len();
+        for echo in pending {
+            let last = self.grid.rings - 1;
+            let distance = |ring: usize| self.axis.points_mm[ring].distance_squared(echo.point_mm);
+            let near = if distance(0) < distance(last) { 0 } else { last };
+            match self.sample(echo.point_mm, echo.image_normal, echo.frame, near) {
+                Some((band, sample)) => {
+                    step.changed.extend(self.mark_observed(band));
+                    self.insert(band, sample, echo.time_s, noise_mm, true);
+                }
+                None => self.pending.push_back(echo),
+            }
+        }
+    }
+
+    /// Adds a sample to its band; returns the ring of its projection, and whether it lies on the wall.
+    fn insert(&mut self, band: usize, sample: Sample, time_s: f64, noise_mm: f64, new: bool) -> (f64, bool) {
+        let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
+        let band = &mut self.bands[band];
+        if new {
+            if let Some(half_life_s) = self.half_life_s.filter(|_| band.latest_s < time_s) {
+                band.age((-(time_s - band.latest_s) / half_life_s).exp2());
+            }
+            band.latest_s = band.latest_s.max(time_s);
+        }
+        band.insert(sample, model, &self.axis, &mut self.residuals, new)
+    }
+
+    /// Marks a band as observed. The wall beyond the observed bands continues with the radii of the last observed ring;
+    /// returns the rings that change by that.
+    fn mark_observed(&mut self, band: usize) -> Option<Range<usize>> {
+        let nodes = self.grid.nodes;
+        if self.observed.is_empty() {
+            self.observed = band..band + 1;
+            return None;
+        }
+        if band >= self.observed.end {
+            let end = self.observed.end * nodes;
+            let rings = self.observed.end + 1..self.grid.rings;
+            rings.clone().for_each(|ring| self.radii_mm.copy_within(end..end + nodes, ring * nodes));
+            self.observed.end = band + 1;
+            return Some(rings);
+        }
+        if band < self.observed.start {
+            let start = self.observed.start * nodes;
+            let rings = 0..self.observed.start;
+            rings.clone().for_each(|ring| self.radii_mm.copy_within(start..start + nodes, ring * nodes));
+            self.observed.start = band;
+            return Some(rings);
+        }
+        None
+    }
+
+    /// Inserts rings in front of the others and behind them.
+    fn insert_rings(&mut self, before: usize, behind: usize) {
+        let nodes = self.grid.nodes;
+        self.grid.rings += before + behind;
+        let ends = [0..before, self.grid.rings - behind..self.grid.rings];
+        if before > 0 {
+            self.bands.iter_mut().for_each(|band| band.renumber(before));
+            self.observed = self.observed.start + before..self.observed.end + before;
+            self.background += before;
+        }
+        for (rings, at_front) in ends.into_iter().zip([true, false]) {
+            let bands = rings.clone().map(|ring| EchoBand::new(&self.grid, ring));
+            let at = if at_front { 0 } else { self.bands.len() };
+            self.bands.splice(at..at, bands);
+            let count = rings.len() * nodes;
+            let at = at * nodes;
+            // With the radii of the last ring.
+            let end = match self.radii_mm.len() {
+                0 => vec![0.0; nodes],
+                _ if at_front => self.radii_mm[..nodes].to_vec(),
+                length => self.radii_mm[length - nodes..].to_vec(),
+            };
+            self.radii_mm.splice(at..at, end.into_iter().cycle().take(count));
+            self.bins.splice(at..at, std::iter::repeat_n([None; 2], count));
+            self.support.insert(at, count);
+        }
+    }
+
+    /// Moves the rings about the curve's nodes `moved`, after `before` nodes were added in front, and places their echoes
+    /// again. Returns the number of rings added in front, and the rings that moved or are new.
+    fn move_axis(&mut self, before: usize, moved: Range<usize>, step: &mut Step) -> (usize, Range<usize>) {
+        let (step_mm, nodes) = (self.grid.step_mm, self.grid.nodes);
+        let spacing_mm = self.curve.spacing_mm();
+        self.origin_mm += before as f64 * spacing_mm;
+        let in_front = (self.origin_mm / step_mm) as usize;
+        self.origin_mm -= in_front as f64 * step_mm;
+        let rings = ((self.curve.length_mm() - self.origin_mm) / step_mm) as usize + 1;
+        let old = self.grid.rings;
+        let behind = rings.saturating_sub(old + in_front);
+        self.insert_rings(in_front, behind);
+
+        let place = |ring: usize| (self.origin_mm + ring as f64 * step_mm) / spacing_mm;
+        let is_moved = |ring: &usize| {
+            let place = place(*ring);
+            moved.start as f64 - 2.0 < place && place < moved.end as f64 + 1.0
+        };
+        let all = 0..self.grid.rings;
+        let first = all.clone().find(is_moved).unwrap_or(0);
+        let last = all.clone().rfind(is_moved).unwrap_or(0);
+        let changed = first..last + 1;
+
+        let (points, frames) = (&mut self.axis.points_mm, &mut self.axis.frames);
+        points.splice(0..0, std::iter::repeat_n(DVec3::ZERO, in_front));
+        frames.splice(0..0, std::iter::repeat_n(DMat3::IDENTITY, in_front));
+        points.resize(all.end, DVec3::ZERO);
+        frames.resize(all.end, DMat3::IDENTITY);
+        let before_mm: Vec<DVec3> = points[changed.clone()].to_vec();
+        let tangents: Vec<DVec3> = changed
+            .clone()
+            .map(|ring| {
+                let (point, tangent) = self.curve.at(place(ring));
+                points[ring] = point;
+                tangent
+            })
+            .collect();
+        if changed.start > 0 || changed.end == all.end {
+            for ring in changed.clone() {
+                let from = ring.saturating_sub(1);
+                let start = if ring == 0 { frames[in_front] } else { frames[from] };
+                frames[ring] =
+                    transported(&start, points[ring] - points[from], tangents[ring - changed.start]);
+            }
+        } else {
+            for ring in changed.clone().rev() {
+                let from = ring + 1;
+                frames[ring] = transported(&frames[from], points[ring] - points[from], tangents[ring]);
+            }
+        }
+        // To first order the wall keeps its place.
+        for ring in changed.clone().filter(|ring| (in_front..in_front + old).contains(ring)) {
+            let shift = self.axis.points_mm[ring] - before_mm[ring - changed.start];
+            let frame = &self.axis.frames[ring];
+            let (x, y) = (shift.dot(frame.x_axis), shift.dot(frame.y_axis));
+            for j in 0..nodes {
+                let (sin, cos) = (TAU * j as f64 / nodes as f64).sin_cos();
+                self.radii_mm[ring * nodes + j] -= x * cos + y * sin;
+            }
+        }
+        let noise_mm = self.noise_mm();
+        let bands = changed.start.saturating_sub(1)..changed.end.min(all.end - 1);
+        let mut samples = Vec::new();
+        for band in bands {
+            let latest_s = self.bands[band].latest_s;
+            let drained = self.bands[band].drain(&self.grid, band);
+            samples.extend(drained.into_iter().map(|sample| (band, sample, latest_s)));
+        }
+        step.echoes += samples.len();
+        for (band, mut sample, latest_s) in samples {
+            if let Some(place) = self.axis.place(sample.point_mm, band) {
+                let old = sample.echo;
+                sample.echo = Echo::new(&place, sample.image_normal, old.frame, nodes);
+                sample.echo.keep_projection_of(&old);
+                let band = place.ring as usize;
+                step.changed.extend(self.mark_observed(band));
+                self.insert(band, sample, latest_s, noise_mm, false);
+            }
+        }
+        self.place_pending(noise_mm, step);
+        (in_front, changed)
+    }
+
+    /// Solves for the wall in a window of rings with all others fixed. Before that, up to `budget` residuals are evaluated
+    /// again, where the wall has moved most; they are subtracted from the budget. Returns the rings.
+    fn refit(&mut self, window: Range<usize>, budget: &mut usize) -> Range<usize> {
+        let window = window.start.max(self.observed.start)..window.end.min(self.observed.end + 1);
+        if window.len() < 2 {
+            return 0..0;
+        }
+        let (nodes, all) = (self.grid.nodes, self.grid.rings);
+        let noise_mm = self.noise_mm();
+        let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
+        let enough_mm = ENOUGH_NOISE_SHARE * noise_mm;
+        let mut due: Vec<usize> = (window.start.saturating_sub(1)..window.end.min(all - 1))
+            .filter(|&band| self.bands[band].travel_mm > enough_mm)
+            .collect();
+        due.sort_by(|&a, &b| self.bands[b].travel_mm.total_cmp(&self.bands[a].travel_mm));
+        for band in due {
+            let band = &mut self.bands[band];
+            if band.kept > *budget {
+                break;
+            }
+            *budget -= band.kept;
+            band.measure(model, &mut self.residuals, false);
+        }
+
+        let smoothness = self.smoothness_mm2();
+        let beside = |margin: usize| window.start.saturating_sub(margin)..(window.end + margin).min(all);
+        let (solved, supporting) = (beside(2), beside(SUPPORT_MARGIN));
+        let grid = WallGrid { rings: solved.len(), ..self.grid };
+        let mut equations = Equations::over(&self.grid, solved.clone());
+        let mut tally = Tally::new(supporting.len() * nodes);
+        for band in &self.bands[beside(MAX_PROJECTION + SUPPORT_MARGIN)] {
+            if band.rings.is_empty() {
+                continue;
+            }
+            equations.merge(&band.equations);
+            tally.merge(
+                band.rings.start.saturating_sub(supporting.start) * nodes,
+                &band.tally,
+                supporting.start.saturating_sub(band.rings.start) * nodes,
+            );
+        }
+        let x = &self.radii_mm[solved.start * nodes..solved.end * nodes];
+        let free = window.start - solved.start..window.end - solved.start;
+        let equations = equations.of_change(&grid, smoothness, x, free.clone());
+        let mut change = vec![0.0; x.len()];
+        self.solver.over(grid, MAX_STEPS).solve(
+            &System::plain(&equations, smoothness),
+            SOLVED_SHARE,
+            &mut change,
+        );
+        for ring in free {
+            let travel = &change[ring * nodes..(ring + 1) * nodes];
+            let ring = ring + solved.start;
+            let farthest = travel.iter().fold(0.0_f64, |max, t| max.max(t.abs()));
+            self.radii_mm[ring * nodes..(ring + 1) * nodes].iter_mut().zip(travel).for_each(|(r, t)| *r += t);
+            for band in &mut self.bands[ring.saturating_sub(1)..=ring] {
+                band.travel_mm += farthest;
+            }
+        }
+        self.update_support(&window, &supporting, &tally, smoothness);
+        window
+    }
+
+    /// Updates the support of a window's nodes by the echoes of the rings `supporting`.
+    fn update_support(
+        &mut self,
+        window: &Range<usize>,
+        supporting: &Range<usize>,
+        tally: &Tally,
+        smoothness: f64,
+    ) {
+        let nodes = self.grid.nodes;
+        let grid = WallGrid { rings: supporting.len(), ..self.grid };
+        let density = self.densities.value() / grid.cell_mm2();
+        let statistics = tally.statistics(&grid, density, smoothness);
+        let max_mm = max_error_mm(self.errors.value(), &grid);
+        let offset = supporting.start * nodes;
+        let own: Vec<f64> = tally.own().collect();
+        for node in window.start * nodes..window.end * nodes {
+            let here = node - offset;
+            let error_mm = statistics.standard_error_mm[here];
+            let [density_bin, error_bin] = &mut self.bins[node];
+            recount(&mut self.densities, density_bin, Some(own[here]).filter(|n| *n > 0.0));
+            recount(&mut self.errors, error_bin, Some(error_mm).filter(|e| e.is_finite()));
+            self.support.echoes[node] = own[here].round() as u32;
+            self.support.residual_mm[node] = statistics.residual_mm[here];
+            self.support.standard_error_mm[node] = error_mm;
+            self.support.last_frame[node] = tally.last_frame[here];
+            self.support.supported[node] = error_mm <= max_mm && !statistics.is_mouth[here];
+        }
+    }
+}
+
+/// The model that residuals are evaluated on.
+fn residual_model<'a>(grid: &'a WallGrid, radii_mm: &'a [f64], noise_mm: f64) -> ResidualModel<'a> {
+    ResidualModel { grid, radii_mm, noise_mm, out_of_plane: OUT_OF_PLANE }
+}
+
+/// Replaces a value in a running median.
+fn recount(median: &mut RunningMedian, bin: &mut Option<u16>, value: Option<f64>) {
+    if let Some(before) = bin.take() {
+        median.remove(before);
+    }
+    *bin = value.map(|value| median.add(value));
+}

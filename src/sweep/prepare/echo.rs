@@ -1,0 +1,115 @@
+//! Echoes about the axis.
+
+use super::axis::{Axis, Place};
+use crate::geometry::Pose;
+use crate::recording::{FRAME_INTERVAL_S, Frame};
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+
+/// An echo about the axis, and its projection onto the wall.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::sweep) struct Echo {
+    /// Along the axis, in rings.
+    pub ring: f64,
+    /// About the axis, in nodes.
+    pub node: f64,
+    pub radius_mm: f64,
+    /// The image plane's normal: away from the axis, about it, along it.
+    pub image_normal: DVec3,
+    /// See [`Place::stretch`].
+    pub stretch: f64,
+    pub frame: u32,
+    /// Weight: 1, or less for an old echo.
+    pub weight: f64,
+    /// From the echo to its projection onto the wall, in rings and nodes.
+    pub shift: [f64; 2],
+    /// The standardised residual: the distance to the wall along the likeliest direction, in mm of noise in that
+    /// direction; positive outside the wall.
+    pub residual_mm: f64,
+}
+
+impl Echo {
+    pub(in crate::sweep) fn new(place: &Place, image_normal: DVec3, frame: u32, nodes: usize) -> Self {
+        Self {
+            ring: place.ring,
+            node: place.theta_rad / TAU * nodes as f64,
+            radius_mm: place.radius_mm,
+            image_normal: place.directions.transpose() * image_normal,
+            stretch: place.stretch,
+            frame,
+            weight: 1.0,
+            shift: [0.0; 2],
+            residual_mm: 0.0,
+        }
+    }
+
+    /// Angle about the axis, rad.
+    pub(in crate::sweep) fn theta_rad(&self, nodes: usize) -> f64 {
+        self.node / nodes as f64 * TAU
+    }
+
+    /// Its projection onto the wall: ring and node.
+    pub(in crate::sweep) fn projection(&self) -> (f64, f64) {
+        (self.ring + self.shift[0], self.node + self.shift[1])
+    }
+
+    /// Copies the projection and the residual of another echo.
+    pub(in crate::sweep) fn keep_projection_of(&mut self, other: &Self) {
+        (self.shift, self.residual_mm) = (other.shift, other.residual_mm);
+    }
+
+    /// Shifts ring numbers by `rings` new rings in front.
+    pub(in crate::sweep) fn renumber(&mut self, rings: usize) {
+        self.ring += rings as f64;
+    }
+}
+
+/// The echoes of contours about an axis, sorted along it; those beyond its ends are left out. `contours_mm` has an empty
+/// list for a frame that is left out, `poses` are those of the probe.
+pub(in crate::sweep) fn placed(
+    frames: &[Frame],
+    contours_mm: &[&[DVec2]],
+    poses: &[Pose],
+    axis: &Axis,
+    nodes: usize,
+) -> Vec<Echo> {
+    let mut echoes: Vec<Echo> = frames
+        .par_iter()
+        .zip(contours_mm)
+        .zip(poses)
+        .enumerate()
+        .filter(|(_, ((_, contour_mm), _))| !contour_mm.is_empty())
+        .flat_map_iter(|(k, ((frame, _), pose))| {
+            let to_world = |p: DVec2| pose.transform_point(p.extend(0.0));
+            let centre = frame.centroid_mm().or_else(|| frame.echoes_mm().next());
+            let near = centre.map_or(0, |centre| axis.nearest_ring(to_world(centre)));
+            frame.echoes_mm().filter_map(move |echo| {
+                let place = axis.place(to_world(echo), near)?;
+                Some(Echo::new(&place, pose.rotation.z_axis, k as u32, nodes))
+            })
+        })
+        .collect();
+    echoes.par_sort_by(|a, b| a.ring.total_cmp(&b.ring));
+    echoes
+}
+
+/// When the frames were taken, s; a frame without a time counts as [`FRAME_INTERVAL_S`] after the one before.
+fn times_s(frames: &[Frame]) -> Vec<f64> {
+    let times = frames.iter().scan(-FRAME_INTERVAL_S, |clock, frame| {
+        *clock = frame.time_s.unwrap_or(*clock + FRAME_INTERVAL_S);
+        Some(*clock)
+    });
+    times.collect()
+}
+
+/// Halves the weights of echoes, sorted along the axis, for every `half_life_s` between them and the newest echo between
+/// the same two rings.
+pub(in crate::sweep) fn age(echoes: &mut [Echo], frames: &[Frame], half_life_s: f64) {
+    let times_s = times_s(frames);
+    let time = |echo: &Echo| times_s[echo.frame as usize];
+    for band in echoes.chunk_by_mut(|a, b| a.ring as usize == b.ring as usize) {
+        let newest = band.iter().map(time).fold(f64::NEG_INFINITY, f64::max);
+        band.iter_mut().for_each(|echo| echo.weight = ((time(echo) - newest) / half_life_s).exp2());
+    }
+}

@@ -1,0 +1,107 @@
+//! The grid about the axis that the wall is a function on.
+
+use std::f64::consts::TAU;
+
+/// Deviation of a wall of roughness one from a flat triangle, in edge lengths. It counts as noise, so that perfect echoes
+/// are not interpolated.
+pub(in crate::sweep) const CELL_NOISE: f64 = 0.3;
+
+/// `rings` rings of `nodes` nodes; node (k, j) has index `k·nodes + j` and lies at `θ = 2πj/nodes`. Each cell
+/// a, b, b', a' between two rings consists of the triangles (a, b, b') and (a, b', a').
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::sweep) struct WallGrid {
+    pub rings: usize,
+    pub nodes: usize,
+    /// Distance of two rings, mm.
+    pub step_mm: f64,
+    /// Distance of two nodes of a ring, mm, on a tube of the median radius.
+    pub arc_mm: f64,
+}
+
+/// A place on the grid: its triangle, as node indices, and its barycentric weights there.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::sweep) struct Corners {
+    /// a, b or a', b'.
+    pub nodes: [usize; 3],
+    pub weights: [f64; 3],
+    /// Whether it is the bottom triangle (a, b, b').
+    pub bottom: bool,
+}
+
+impl Corners {
+    /// The value there of a function on the grid.
+    pub(in crate::sweep) fn value(&self, x: &[f64]) -> f64 {
+        self.nodes.iter().zip(self.weights).map(|(&node, weight)| x[node] * weight).sum()
+    }
+
+    /// The node with the largest weight.
+    pub(in crate::sweep) fn nearest(&self) -> usize {
+        let nearest = (1..3).fold(0, |best, k| if self.weights[k] > self.weights[best] { k } else { best });
+        self.nodes[nearest]
+    }
+}
+
+impl WallGrid {
+    pub(in crate::sweep) fn new(rings: usize, nodes: usize, step_mm: f64, radius_mm: f64) -> Self {
+        Self { rings, nodes, step_mm, arc_mm: TAU * radius_mm / nodes as f64 }
+    }
+
+    pub(in crate::sweep) fn node_count(&self) -> usize {
+        self.rings * self.nodes
+    }
+
+    /// The triangle at `ring` (0 to rings - 1) and `node` (any number; the grid is closed in that direction).
+    pub(in crate::sweep) fn corners(&self, ring: f64, node: f64) -> Corners {
+        let below = (ring.max(0.0) as usize).min(self.rings - 2);
+        let up = (ring - below as f64).clamp(0.0, 1.0);
+        let around = node.rem_euclid(self.nodes as f64);
+        let j = (around as usize).min(self.nodes - 1);
+        let round = (around - j as f64).clamp(0.0, 1.0);
+        let next = if j + 1 == self.nodes { 0 } else { j + 1 };
+        let row = below * self.nodes;
+        let (a, b, b_up, a_up) = (row + j, row + next, row + self.nodes + next, row + self.nodes + j);
+        if round >= up {
+            Corners { nodes: [a, b, b_up], weights: [1.0 - round, round - up, up], bottom: true }
+        } else {
+            Corners { nodes: [a, a_up, b_up], weights: [1.0 - up, up - round, round], bottom: false }
+        }
+    }
+
+    /// The median radius for which [`arc_mm`](Self::arc_mm) holds, mm.
+    pub(in crate::sweep) fn radius_mm(&self) -> f64 {
+        self.arc_mm * self.nodes as f64 / TAU
+    }
+
+    /// Area per node, mm².
+    pub(in crate::sweep) fn cell_mm2(&self) -> f64 {
+        self.step_mm * self.arc_mm
+    }
+
+    /// The noise of the echoes plus [`CELL_NOISE`] at the roughness τ, mm.
+    pub(in crate::sweep) fn smoothed_noise_mm(&self, noise_mm: f64, roughness: f64) -> f64 {
+        noise_mm.hypot(CELL_NOISE * roughness * self.arc_mm)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_the_weighted_mean_of_its_corners() {
+        let grid = WallGrid { rings: 6, nodes: 8, step_mm: 1.3, arc_mm: 0.9 };
+        for (ring, node) in [(0.0, 0.0), (0.3, 0.7), (2.7, 7.9), (4.5, -0.2), (5.0, 8.0), (3.0, 3.0)] {
+            let corners = grid.corners(ring, node);
+            assert!((corners.weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            assert!(corners.weights.iter().all(|w| *w >= 0.0));
+            let mean = |of: fn(usize) -> f64| -> f64 {
+                corners.nodes.iter().zip(corners.weights).map(|(&n, w)| w * of(n)).sum()
+            };
+            assert!((mean(|n| (n / 8) as f64) - ring).abs() < 1e-12, "{ring} {corners:?}");
+            let angle = |n: usize| (n % 8) as f64;
+            let around = corners.nodes.map(|n| (angle(n) - node + 4.0).rem_euclid(8.0) - 4.0);
+            let offset: f64 = around.iter().zip(corners.weights).map(|(a, w)| a * w).sum();
+            assert!(offset.abs() < 1e-12, "{node} {corners:?}");
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! How fine the grid of a wall may be.
+
+use super::contour::echo_count;
+use super::grid::CELL_NOISE;
+use crate::numerics::robust::median;
+use crate::settings::Settings;
+use crate::{Error, Result};
+use glam::DVec2;
+use std::f64::consts::TAU;
+use std::ops::RangeInclusive;
+
+/// Mean number of echoes per node: few where they are exact, more where noise hides what lies between.
+const ECHOES_PER_NODE: RangeInclusive<f64> = 1.0..=4.0;
+/// Nodes that fit into the memory of an ordinary machine.
+const MAX_NODES: f64 = 5e7;
+/// Nodes per ring, where the settings do not give them.
+const NODES_PER_RING: RangeInclusive<usize> = 16..=256;
+
+/// Nodes per ring, and the distance of two rings in mm, that the echoes along a vessel can determine. Contours of frames
+/// that are left out are empty.
+pub(in crate::sweep) fn resolution(
+    contours_mm: &[&[DVec2]],
+    length_mm: f64,
+    radius_mm: f64,
+    noise_mm: f64,
+    settings: &Settings,
+) -> Result<(usize, f64)> {
+    let with_echoes = contours_mm.iter().filter(|contour_mm| contour_mm.iter().any(|p| !p.is_nan())).count();
+    // More than two rings per frame would have no data.
+    let min_step_mm = length_mm / with_echoes as f64 / 2.0;
+    let nodes = match settings.sweep.nodes {
+        Some(nodes) => nodes as usize,
+        None => {
+            let nodes = |echoes_per_node: f64| {
+                let affordable = echo_count(contours_mm) as f64 / echoes_per_node;
+                let even = (affordable * TAU * radius_mm / length_mm).sqrt();
+                even.max(affordable * min_step_mm / length_mm)
+            };
+            // Triangles that deviate from the wall by less than the noise need not be smaller.
+            let wanted = TAU * radius_mm * CELL_NOISE * settings.sweep.roughness / noise_mm;
+            let rays = median(&mut contours_mm.iter().map(|c| c.len() as f64).collect::<Vec<_>>());
+            let min = nodes(*ECHOES_PER_NODE.end()).min(rays);
+            let max = nodes(*ECHOES_PER_NODE.start()).min(2.0 * rays);
+            (wanted.min(max).max(min) as usize & !1).clamp(*NODES_PER_RING.start(), *NODES_PER_RING.end())
+        }
+    };
+    let step_mm = (TAU * radius_mm / nodes as f64).max(min_step_mm);
+    if length_mm / step_mm * nodes as f64 > MAX_NODES {
+        return Err(Error::Setting {
+            name: "sweep.nodes",
+            found: format!("{nodes} a ring of {radius_mm:.3} mm radius along {length_mm:.0} mm"),
+            expected: format!("at most {MAX_NODES} in all"),
+        });
+    }
+    Ok((nodes, step_mm))
+}

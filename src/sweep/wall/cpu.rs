@@ -1,0 +1,80 @@
+//! The fit of a wall on the CPU, in f64.
+
+use super::equations::Equations;
+use super::fit::{Reweighting, Solution, Wall, WallEngine};
+use super::residual::{TASK, gate};
+use super::solver::{Solver, System};
+use crate::Result;
+use crate::numerics::robust::{huber_weight, median};
+use crate::sweep::prepare::echo::Echo;
+use crate::sweep::prepare::grid::WallGrid;
+use rayon::prelude::*;
+
+/// A wall on the CPU, and its echoes, sorted along the axis.
+pub(super) struct CpuWallEngine<'a> {
+    grid: &'a WallGrid,
+    echoes: &'a mut [Echo],
+    solver: Solver,
+    wall: Wall,
+}
+
+impl<'a> CpuWallEngine<'a> {
+    pub(super) fn new(grid: &'a WallGrid, echoes: &'a mut [Echo], wall: Wall) -> Self {
+        Self { grid, echoes, solver: Solver::new(*grid), wall }
+    }
+
+    fn equations(&mut self, warm_up: bool) -> Equations {
+        let Self { grid, echoes, wall, .. } = self;
+        let parts: Vec<Equations> = echoes
+            .par_chunks_mut(TASK)
+            .map(|task| {
+                let rings = task.iter().map(|e| e.projection().0);
+                let last = grid.rings - 2;
+                let (low, high) = rings.fold((last, 0), |(low, high), ring| {
+                    let below = (ring.max(0.0) as usize).min(last);
+                    (low.min(below), high.max(below))
+                });
+                let mut sums = Equations::over(grid, low..high + 2);
+                let model = wall.residual_model(grid);
+                for echo in task {
+                    let (ring, node) = echo.projection();
+                    let measured = model.measure(echo, false);
+                    let residual = echo.residual_mm.abs();
+                    if !warm_up && residual > gate(wall.noise_mm, measured.wall_mm) {
+                        continue;
+                    }
+                    let corners = grid.corners(ring, node);
+                    let weight = huber_weight(wall.noise_mm, residual) * measured.weight * echo.weight;
+                    sums.add(&corners, weight, measured.wall_mm + measured.radial_mm);
+                }
+                sums
+            })
+            .collect();
+        let mut whole = Equations::over(grid, 0..grid.rings);
+        parts.iter().for_each(|part| whole.merge(part));
+        whole
+    }
+}
+
+impl WallEngine for CpuWallEngine<'_> {
+    fn measure(&mut self, noise_mm: f64, project: bool) -> Result<f64> {
+        self.wall.noise_mm = noise_mm;
+        self.wall.residual_model(self.grid).measure_all(self.echoes, project);
+        Ok(median(&mut self.echoes.iter().map(|e| e.residual_mm.abs()).collect::<Vec<_>>()))
+    }
+
+    fn solve(&mut self, reweighting: &Reweighting) -> Result<Solution> {
+        self.wall.noise_mm = reweighting.noise_mm;
+        let equations = self.equations(reweighting.warm_up);
+        let radii_mm = &mut self.wall.radii_mm;
+        let before = radii_mm.clone();
+        let system = System::plain(&equations, reweighting.smoothness_mm2);
+        let solver_steps = self.solver.solve(&system, reweighting.tolerance, radii_mm);
+        let travel = before.iter().zip(&*radii_mm).map(|(a, b)| (a - b).abs()).sum::<f64>();
+        Ok(Solution { travel_mm: travel / before.len() as f64, solver_steps })
+    }
+
+    fn finish(self) -> Result<Vec<f64>> {
+        Ok(self.wall.radii_mm)
+    }
+}

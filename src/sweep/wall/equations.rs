@@ -1,0 +1,138 @@
+//! The least-squares equations of a wall.
+
+use super::bending::LocalSmoothness;
+use crate::sweep::prepare::grid::{Corners, WallGrid};
+use std::ops::Range;
+
+/// Stiffness of fixed nodes, in units of the largest other one.
+const FIXED_STIFFNESS: f64 = 1e6;
+
+/// The normal equations of weighted points on the triangles of a grid.
+#[derive(Debug, Clone)]
+pub(in crate::sweep) struct Equations {
+    /// The first node covered.
+    first: usize,
+    /// Per node: coupling to itself, to (k, j+1), (k+1, j) and (k+1, j+1), and the right-hand side.
+    rows: Vec<[f64; 5]>,
+}
+
+impl Equations {
+    /// No points yet, over the rings `rings` of a grid.
+    pub(in crate::sweep) fn over(grid: &WallGrid, rings: Range<usize>) -> Self {
+        let first = rings.start * grid.nodes;
+        Self { first, rows: vec![[0.0; 5]; rings.len() * grid.nodes] }
+    }
+
+    /// Adds a point: `weight · (x(corners) - value)²`.
+    pub(in crate::sweep) fn add(&mut self, corners: &Corners, weight: f64, value: f64) {
+        let [a, m, c] = corners.nodes.map(|n| n - self.first);
+        let [p, q, r] = corners.weights;
+        // a couples to b along the ring or to a' across; b to b' across, a' to b' along; a to b' always.
+        let (from_a, to_c) = if corners.bottom { (1, 2) } else { (2, 1) };
+        self.rows[a][0] += weight * p * p;
+        self.rows[m][0] += weight * q * q;
+        self.rows[c][0] += weight * r * r;
+        self.rows[a][from_a] += weight * p * q;
+        self.rows[m][to_c] += weight * q * r;
+        self.rows[a][3] += weight * p * r;
+        self.rows[a][4] += weight * p * value;
+        self.rows[m][4] += weight * q * value;
+        self.rows[c][4] += weight * r * value;
+    }
+
+    /// Adds the sums of other points on the nodes that are covered here.
+    pub(in crate::sweep) fn merge(&mut self, other: &Self) {
+        let skipped = self.first.saturating_sub(other.first).min(other.rows.len());
+        let shift = (other.first + skipped).saturating_sub(self.first).min(self.rows.len());
+        for (mine, theirs) in self.rows[shift..].iter_mut().zip(&other.rows[skipped..]) {
+            for (a, b) in mine.iter_mut().zip(theirs) {
+                *a += b;
+            }
+        }
+    }
+
+    /// The sums of every node.
+    pub(in crate::sweep) fn rows(&self) -> &[[f64; 5]] {
+        &self.rows
+    }
+
+    /// Multiplies the weights of all points.
+    pub(in crate::sweep) fn scale(&mut self, factor: f64) {
+        self.rows.as_flattened_mut().iter_mut().for_each(|x| *x *= factor);
+    }
+
+    /// Shifts node numbers by `nodes` new nodes in front.
+    pub(in crate::sweep) fn renumber(&mut self, nodes: usize) {
+        self.first += nodes;
+    }
+
+    /// The equations for the change of `x` on the rings `free` with all others fixed.
+    pub(in crate::sweep) fn of_change(
+        mut self,
+        grid: &WallGrid,
+        smoothness: f64,
+        x: &[f64],
+        free: Range<usize>,
+    ) -> Self {
+        let mut product = vec![0.0; x.len()];
+        self.apply(grid, x, &mut product);
+        grid.add_bending(x, smoothness, LocalSmoothness::EVEN, &mut product);
+        let bending = smoothness * grid.cell_mm2() * (grid.step_mm.powi(-4) + grid.arc_mm.powi(-4));
+        let stiff = FIXED_STIFFNESS * (bending + self.rows.iter().fold(0.0, |max: f64, row| max.max(row[0])));
+        for (node, (row, product)) in self.rows.iter_mut().zip(product).enumerate() {
+            row[4] -= product;
+            if !free.contains(&(node / grid.nodes)) {
+                row[0] += stiff;
+                row[4] = 0.0;
+            }
+        }
+        self
+    }
+
+    /// `out = (points' couplings)·x`.
+    pub(in crate::sweep) fn apply(&self, grid: &WallGrid, x: &[f64], out: &mut [f64]) {
+        out.fill(0.0);
+        let nodes = grid.nodes;
+        for k in 0..grid.rings {
+            for j in 0..nodes {
+                let a = k * nodes + j;
+                let [own, along, across, diagonal, _] = self.rows[a];
+                let b = if j + 1 == nodes { k * nodes } else { a + 1 };
+                let mut sum = own * x[a] + along * x[b];
+                out[b] += along * x[a];
+                if k + 1 < grid.rings {
+                    sum += across * x[a + nodes] + diagonal * x[b + nodes];
+                    out[a + nodes] += across * x[a];
+                    out[b + nodes] += diagonal * x[a];
+                }
+                out[a] += sum;
+            }
+        }
+    }
+
+    /// Total weight of the points on each ring.
+    pub(in crate::sweep) fn ring_weights(&self, grid: &WallGrid) -> Vec<f64> {
+        let mut weights = vec![0.0; self.rows.len()];
+        self.apply(grid, &vec![1.0; self.rows.len()], &mut weights);
+        weights.chunks_exact(grid.nodes).map(|ring| ring.iter().sum()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GRID: WallGrid = WallGrid { rings: 6, nodes: 8, step_mm: 1.3, arc_mm: 0.9 };
+
+    #[test]
+    fn sums_over_parts_are_the_whole() {
+        let mut parts = Equations::over(&GRID, 0..GRID.rings);
+        let mut some = Equations::over(&GRID, 2..5);
+        let corners = GRID.corners(2.6, 7.5);
+        some.add(&corners, 2.0, 3.0);
+        parts.merge(&some);
+        let mut whole = Equations::over(&GRID, 0..GRID.rings);
+        whole.add(&corners, 2.0, 3.0);
+        assert_eq!(parts.rows, whole.rows);
+    }
+}

@@ -1,0 +1,130 @@
+//! The fit of a wall by iteratively reweighted least squares, whatever engine does the reweightings.
+
+use super::residual::ResidualModel;
+use crate::Result;
+use crate::numerics::robust::{SD_PER_MAD, median};
+use crate::recording::echo_error::OUT_OF_PLANE;
+use crate::sweep::prepare::echo::Echo;
+use crate::sweep::prepare::grid::WallGrid;
+
+/// A wall fitted to echoes.
+#[derive(Debug, Clone)]
+pub(in crate::sweep) struct Wall {
+    pub radii_mm: Vec<f64>,
+    /// Standard deviation of an echo about the wall, mm.
+    pub noise_mm: f64,
+    /// λ, mm².
+    pub smoothness_mm2: f64,
+    /// Share of the noise's variance across the image plane.
+    pub out_of_plane: f64,
+    pub iterations: usize,
+    pub solver_steps: usize,
+}
+
+/// Iterations without projections and gate, until the wall has its shape.
+const WARM_UP_ITERATIONS: usize = 3;
+const MAX_ITERATIONS: usize = 15;
+/// The fit ends when the nodes move by at most this share of the noise on average, or …
+const ENOUGH_NOISE_SHARE: f64 = 0.01;
+/// … by this many radii.
+const ENOUGH_RADII: f64 = 1e-6;
+/// Share of the noise to which the equations are solved, and of the radius at least.
+const SOLVED_NOISE_SHARE: f64 = 1e-3;
+const SOLVED_RADII: f64 = 1e-10;
+
+/// The parameters of one reweighting.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::sweep) struct Reweighting {
+    /// σ, mm.
+    pub noise_mm: f64,
+    /// λ, mm².
+    pub smoothness_mm2: f64,
+    /// Whether echoes count however far they lie from the wall.
+    pub warm_up: bool,
+    /// Share of the radius to which the equations are to be solved.
+    pub tolerance: f64,
+}
+
+/// The result of one reweighting.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::sweep) struct Solution {
+    /// Mean displacement of the nodes, mm.
+    pub travel_mm: f64,
+    pub solver_steps: usize,
+}
+
+/// A wall, initially a tube of the radius [`start_mm`], and the echoes about it.
+pub(in crate::sweep) trait WallEngine {
+    /// Evaluates the residual of every echo and with `project` moves its projection, but no farther than noise of
+    /// `noise_mm` explains; returns the median of |residual|, mm.
+    fn measure(&mut self, noise_mm: f64, project: bool) -> Result<f64>;
+
+    /// Solves for the wall under the current weights of the echoes.
+    fn solve(&mut self, reweighting: &Reweighting) -> Result<Solution>;
+
+    /// The nodes' radii, mm; the echoes then have their last projections and residuals.
+    fn finish(self) -> Result<Vec<f64>>;
+}
+
+/// The radius of the tube that every fit starts from, mm.
+pub(in crate::sweep) fn start_mm(echoes: &[Echo]) -> f64 {
+    median(&mut echoes.iter().map(|e| e.radius_mm).collect::<Vec<_>>())
+}
+
+impl Wall {
+    /// The initial tube; there are no residuals yet.
+    pub(in crate::sweep) fn tube(grid: &WallGrid, radius_mm: f64) -> Self {
+        Self {
+            radii_mm: vec![radius_mm; grid.node_count()],
+            noise_mm: radius_mm,
+            smoothness_mm2: 0.0,
+            out_of_plane: OUT_OF_PLANE,
+            iterations: 0,
+            solver_steps: 0,
+        }
+    }
+
+    /// The model that residuals from this wall are evaluated on.
+    pub(in crate::sweep) fn residual_model<'a>(&'a self, grid: &'a WallGrid) -> ResidualModel<'a> {
+        let Self { radii_mm, noise_mm, out_of_plane, .. } = self;
+        ResidualModel { grid, radii_mm, noise_mm: *noise_mm, out_of_plane: *out_of_plane }
+    }
+}
+
+/// Fits a wall. `roughness` is τ: λ = (noise/τ)².
+pub(super) fn fit(engine: impl WallEngine, grid: &WallGrid, start_mm: f64, roughness: f64) -> Result<Wall> {
+    let tube = Wall { radii_mm: Vec::new(), ..Wall::tube(grid, start_mm) };
+    reweighted(engine, grid, start_mm, roughness, tube)
+}
+
+/// Continues the fit of `wall`; the first iterations of a new one are its warm-up.
+pub(super) fn reweighted(
+    mut engine: impl WallEngine,
+    grid: &WallGrid,
+    start_mm: f64,
+    roughness: f64,
+    mut wall: Wall,
+) -> Result<Wall> {
+    let first = wall.iterations;
+    for iteration in first..first + MAX_ITERATIONS {
+        let warm_up = iteration < WARM_UP_ITERATIONS;
+        let residual_mm = engine.measure(wall.noise_mm, !warm_up)?;
+        wall.noise_mm = grid.smoothed_noise_mm(SD_PER_MAD * residual_mm, roughness);
+        wall.smoothness_mm2 = (wall.noise_mm / roughness).powi(2);
+        let solution = engine.solve(&Reweighting {
+            noise_mm: wall.noise_mm,
+            smoothness_mm2: wall.smoothness_mm2,
+            warm_up,
+            tolerance: (SOLVED_NOISE_SHARE * wall.noise_mm / start_mm).max(SOLVED_RADII),
+        })?;
+        wall.solver_steps += solution.solver_steps;
+        wall.iterations = iteration + 1;
+        let enough_mm = (ENOUGH_RADII * start_mm).max(ENOUGH_NOISE_SHARE * wall.noise_mm);
+        if !warm_up && solution.travel_mm <= enough_mm {
+            break;
+        }
+    }
+    wall.noise_mm = SD_PER_MAD * engine.measure(wall.noise_mm, true)?;
+    wall.radii_mm = engine.finish()?;
+    Ok(wall)
+}

@@ -1,0 +1,101 @@
+//! The residual of an echo from a wall, along the echo's error ellipsoid.
+
+use crate::recording::echo_error::{OUT_OF_PLANE, likeliest_direction};
+use crate::sweep::prepare::echo::Echo;
+use crate::sweep::prepare::grid::WallGrid;
+use glam::DVec3;
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+
+/// Echoes within this many standard deviations of the noise …
+pub(in crate::sweep) const GATE_SDS: f64 = 6.0;
+/// … or within this share of the radius count as echoes of this wall; others are echoes of a branch, or wrong.
+pub(in crate::sweep) const GATE_RADII: f64 = 0.25;
+/// Projections lie at most this many standard deviations from their echoes.
+pub(in crate::sweep) const MAX_PROJECTION_SDS: f64 = 3.0;
+/// Echoes per parallel task: a fixed number, so that sums do not depend on the number of threads.
+pub(super) const TASK: usize = 8192;
+
+/// The wall and the noise that residuals are evaluated on.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::sweep) struct ResidualModel<'a> {
+    pub grid: &'a WallGrid,
+    pub radii_mm: &'a [f64],
+    /// Standard deviation of an echo about the wall, mm.
+    pub noise_mm: f64,
+    /// Share of the noise's variance across the image plane.
+    pub out_of_plane: f64,
+}
+
+/// The linearised equation of an echo for the radius at its projection.
+pub(in crate::sweep) struct Measured {
+    /// Distance along the radius to the wall's tangent plane at the projection, mm.
+    pub radial_mm: f64,
+    /// Inverse variance of that, in units of the noise.
+    pub weight: f64,
+    /// The current radius there, mm.
+    pub wall_mm: f64,
+    /// The wall's unit normal there: away from the axis, about it, along it.
+    pub normal: DVec3,
+}
+
+impl ResidualModel<'_> {
+    /// Evaluates an echo's residual on the triangle at its projection, and with `project` moves the projection.
+    ///
+    /// With n the wall's normal, Σ the covariance of the echo's errors and d the vector from the projection to the echo,
+    /// the likeliest point of the wall lies along `Σn` ([`likeliest_direction`]), and the standardised residual is
+    /// `nᵀd / √(nᵀΣn)`. Along the radius instead, an echo that noise moved outwards along a tilted plane would be compared
+    /// with the wall farther along the axis: where a catheter rests tilted, that lifts the wall by as much as the noise.
+    pub(in crate::sweep) fn measure(&self, echo: &mut Echo, project: bool) -> Measured {
+        let Self { grid, radii_mm: radii, noise_mm: noise, out_of_plane } = *self;
+        let (ring, node) = echo.projection();
+        let corners = grid.corners(ring, node);
+        let [r0, r1, r2] = corners.nodes.map(|n| radii[n]);
+        let [w0, w1, w2] = corners.weights;
+        let wall = r0 * w0 + r1 * w1 + r2 * w2;
+        // Slopes within the triangle, per node and per ring.
+        let (per_node, per_ring) = if corners.bottom { (r1 - r0, r2 - r1) } else { (r2 - r1, r1 - r0) };
+        let arc = TAU / grid.nodes as f64 * wall;
+        let step = grid.step_mm * echo.stretch;
+        let normal = DVec3::new(1.0, -per_node / arc, -per_ring / step).normalize();
+        let from_projection = DVec3::new(echo.radius_mm - wall, -echo.shift[1] * arc, -echo.shift[0] * step);
+        let (likeliest, variance) = likeliest_direction(normal, echo.image_normal, out_of_plane);
+        let across = normal.dot(from_projection);
+        echo.residual_mm = across / variance.sqrt();
+        if project {
+            let reach = (MAX_PROJECTION_SDS * noise / echo.residual_mm.abs().max(f64::MIN_POSITIVE)).min(1.0);
+            let shift = likeliest * (-across / variance * reach);
+            echo.shift = [shift.z / step, shift.y / arc];
+        }
+        let weight = normal.x * normal.x / variance;
+        Measured { radial_mm: across / normal.x, weight, wall_mm: wall, normal }
+    }
+
+    /// Evaluates the residuals of all echoes, and with `project` moves their projections.
+    pub(in crate::sweep) fn measure_all(&self, echoes: &mut [Echo], project: bool) {
+        echoes.par_chunks_mut(TASK).for_each(|task| {
+            for echo in task {
+                self.measure(echo, project);
+            }
+        });
+    }
+}
+
+/// As [`ResidualModel::measure`] while no wall is known: the wall is taken to be a tube through the echo.
+pub(in crate::sweep) fn measure_on_tube(echo: &mut Echo) -> Measured {
+    echo.shift = [0.0; 2];
+    echo.residual_mm = 0.0;
+    let tilt = echo.image_normal.x;
+    let weight = (1.0 - (1.0 - OUT_OF_PLANE) * tilt * tilt).recip();
+    Measured { radial_mm: 0.0, weight, wall_mm: echo.radius_mm, normal: DVec3::X }
+}
+
+/// The largest standardised residual of an echo of a wall, mm.
+pub(in crate::sweep) fn gate(noise_mm: f64, radius_mm: f64) -> f64 {
+    (GATE_SDS * noise_mm).max(GATE_RADII * radius_mm)
+}
+
+/// Whether an echo with a known residual is one of this wall.
+pub(in crate::sweep) fn is_inlier(echo: &Echo, noise_mm: f64) -> bool {
+    echo.residual_mm.abs() <= gate(noise_mm, echo.radius_mm - echo.residual_mm)
+}
