@@ -1,6 +1,6 @@
-//! The closest point of a surface.
+//! The closest point of a surface, and where rays meet it.
 
-use crate::geometry::triangle::{Feature, closest_on_triangle};
+use crate::geometry::triangle::{Feature, closest_on_triangle, ray_meets};
 use crate::surface::Surface;
 use crate::{Error, Result};
 use glam::{DVec3, Vec3A};
@@ -30,10 +30,11 @@ pub struct Closest {
     pub on_rim: bool,
 }
 
-/// Finds the closest point of a surface, through parry's tree of bounding boxes over its triangles.
+/// Finds the closest point of a surface, and where rays meet it, through parry's tree of bounding boxes over its triangles.
 ///
 /// The boxes are in single precision and a little too large; which triangle is nearest is decided in double precision.
 /// Triangles without area are left out: what they cover belongs to their neighbours' edges, and they have no normal.
+#[derive(Debug, Clone)]
 pub struct Locator {
     boxes: Boxes,
     corners_mm: Vec<[DVec3; 3]>,
@@ -167,6 +168,26 @@ impl Locator {
         Some(nearest.get())
     }
 
+    /// The triangle that a ray meets first and the distance to it in lengths of `direction`; `None` where that is not
+    /// less than `range`.
+    pub(crate) fn cast(&self, origin_mm: DVec3, direction: DVec3, range: f64) -> Option<(u32, f64)> {
+        let first = Cell::new((range, None));
+        let (origin, direction_per_mm) = (self.boxes.place(origin_mm), direction * self.boxes.per_mm);
+        self.boxes.tree.find_best(
+            Boxes::reach(range),
+            |node, _| entry(node, origin, direction_per_mm),
+            |triangle, _| {
+                let distance = ray_meets(origin_mm, direction, self.corners_mm[triangle as usize])?;
+                if (distance, Some(triangle)) < first.get() {
+                    first.set((distance, Some(triangle)));
+                }
+                Some(Boxes::reach(distance))
+            },
+        );
+        let (distance, triangle) = first.get();
+        triangle.filter(|_| distance < range).map(|triangle| (self.original[triangle as usize], distance))
+    }
+
     fn describe(&self, query_mm: DVec3, nearest: Nearest) -> Closest {
         let t = nearest.triangle as usize;
         let (normal, on_rim) = match nearest.feature {
@@ -215,6 +236,7 @@ impl Nearest {
 }
 
 /// Boxes about triangles in single precision, from the surface's centre and in units of its size.
+#[derive(Debug, Clone)]
 struct Boxes {
     tree: Bvh,
     centre_mm: DVec3,
@@ -256,6 +278,32 @@ impl Boxes {
     fn bound(&self, squared_mm2: f64) -> f32 {
         (squared_mm2 * self.per_mm * self.per_mm) as f32 * Self::BOUND_SLACK + f32::MIN_POSITIVE
     }
+}
+
+impl Boxes {
+    /// More than the [`entry`] of any box that may hold a triangle which a ray meets at this distance.
+    fn reach(distance: f64) -> f32 {
+        distance as f32 * Self::BOUND_SLACK + f32::MIN_POSITIVE
+    }
+}
+
+/// How far along a ray it enters a box, 0 inside, in lengths of its direction; infinite where it misses it. The box
+/// is larger than what it holds by more than the rounding here.
+fn entry(node: &BvhNode, origin: DVec3, direction: DVec3) -> f32 {
+    let (low, high) = (node.mins().as_dvec3(), node.maxs().as_dvec3());
+    let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
+    for axis in 0..3 {
+        if direction[axis] == 0.0 {
+            if !(low[axis]..=high[axis]).contains(&origin[axis]) {
+                return f32::INFINITY;
+            }
+            continue;
+        }
+        let per = direction[axis].recip();
+        let (a, b) = ((low[axis] - origin[axis]) * per, (high[axis] - origin[axis]) * per);
+        (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
+    }
+    if enter <= leave { enter as f32 } else { f32::INFINITY }
 }
 
 fn squared_distance(node: &BvhNode, query: Vec3A) -> f32 {
