@@ -8,7 +8,7 @@
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on stops there")]
 
 use cpu_time::ProcessTime;
-use lumenmesh::cylinders::Reconstruction;
+use lumenmesh::cylinders::CylinderReconstruction;
 use lumenmesh::cylinders::engine;
 use lumenmesh::reconstruction::Live;
 use lumenmesh::recording::{Frame, Recording};
@@ -62,14 +62,13 @@ fn recording(test: bool) {
     if test {
         recording.frames.truncate(200);
     }
-    let cylinders = Settings { method: Method::Cylinders, ..Settings::default() };
+    let cylinders = Settings::default().with_method(Method::Cylinders);
     let (live, times) = pushed(&recording.frames, &cylinders);
-    let batch =
-        Reconstruction::new(&recording, &cylinders, &*engine(&cylinders).unwrap(), false, &|_| ()).unwrap();
+    let batch = CylinderReconstruction::of(&recording, &cylinders, &*engine(&cylinders).unwrap()).unwrap();
     assert!(live.surface().nodes_mm == batch.vessel.surface().nodes_mm, "live and batch are one");
     print("adult_aorta_noisy, cylinders", &times);
 
-    let sweep = Settings { method: Method::Sweep, ..Settings::default() };
+    let sweep = Settings::default().with_method(Method::Sweep);
     let (live, times) = pushed(&recording.frames, &sweep);
     let apart = apart(&live.surface(), &Sweep::of(&recording, &sweep).unwrap().surface(true));
     assert!(apart < 0.2, "live and batch are {apart} mm apart");
@@ -85,7 +84,7 @@ fn rest(frames: usize) {
     let settings = simulate::Settings { insertion, ..simulate::Settings::default() };
     let simulation = Simulation::run(vessel, &settings).unwrap();
     for method in [Method::Cylinders, Method::Sweep] {
-        let settings = Settings { method, ..Settings::default() };
+        let settings = Settings::default().with_method(method);
         let (live, times) = pushed(&simulation.recording.frames, &settings);
         let apart = apart(&live.surface(), simulation.vessel.surface());
         assert!(apart < 1.5, "live and truth are {apart} mm apart");

@@ -1,5 +1,5 @@
 //! Measures all methods against known truth, beside Poisson reconstruction, and writes the table of
-//! `docs/methods.md` anew.
+//! `docs/accuracy.md` anew.
 //!
 //! ```sh
 //! cargo run --release --example accuracy            # all rows; writes the table
@@ -12,7 +12,7 @@
 
 use glam::DVec3;
 use lumenmesh::Result;
-use lumenmesh::cylinders::Reconstruction;
+use lumenmesh::cylinders::CylinderReconstruction;
 use lumenmesh::cylinders::engine;
 use lumenmesh::evaluate::{Distances, Locator, Truth, evaluate};
 use lumenmesh::output::write_atomically;
@@ -24,7 +24,7 @@ use lumenmesh::sweep::Sweep;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-const TABLE: &str = "docs/methods.md";
+const TABLE: &str = "docs/accuracy.md";
 const BEGIN: &str = "<!-- accuracy: written by `cargo run --release --example accuracy` -->\n";
 const END: &str = "<!-- accuracy: end -->\n";
 /// What the sweep may have of Poisson's mean distance.
@@ -94,8 +94,8 @@ fn run(wanted: Option<&str>) -> Result<bool> {
         let Input { recording, wall_mm, truth } = input(&source)?;
         let measure = |surface: &Surface| measured(surface, &truth, &wall_mm);
         let [stitched, blended] = [Merge::Stitch, Merge::Blend].map(|merge| {
-            let settings = Settings { backend: Backend::Cpu, merge, ..Settings::default() };
-            let done = Reconstruction::new(&recording, &settings, &*engine(&settings)?, false, &|_| ())?;
+            let settings = Settings::default().with_backend(Backend::Cpu).with_merge(merge);
+            let done = CylinderReconstruction::of(&recording, &settings, &*engine(&settings)?)?;
             measure(&done.vessel.surface())
         });
         let sweep = Sweep::of(&recording, &Settings::default())?;

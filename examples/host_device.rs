@@ -55,7 +55,7 @@ pub fn run(adapter: Option<&str>) -> Result<Compared, Box<dyn Error>> {
 
     // 2. The engine on that device, and device memory for one tube. A workspace is made once and recorded as
     //    often as there are new points; `warm_up` builds all pipelines now, not at the first recording.
-    let settings = Settings { nodes: 24, levels: 8, ..Settings::default() };
+    let settings = Settings::default().with_nodes(24).with_levels(8);
     let engine = GpuEngine::on_device(device.clone(), queue.clone())?;
     engine.warm_up()?;
     let workspace = engine.prepare(POINTS, RADIUS_MM, &settings)?;

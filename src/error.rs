@@ -84,7 +84,7 @@ pub enum Error {
     /// The device failed.
     #[cfg(feature = "gpu")]
     #[error("{0}")]
-    Gpu(crate::gpu::GpuError),
+    Gpu(#[from] crate::gpu::GpuError),
 }
 
 /// The crate's result.

@@ -1,10 +1,37 @@
-//! Every setting of a reconstruction: one home, with defaults, limits and a TOML form.
+//! Every setting of a reconstruction, with its default, its limits and a TOML form.
+//!
+//! ```
+//! use lumenmesh::settings::{Method, Settings, SweepSettings};
+//!
+//! let sweep = SweepSettings::default().with_roughness(0.1).with_keep_unsupported(true);
+//! let settings = Settings::default().with_method(Method::Sweep).with_sweep(sweep);
+//! settings.validate()?;
+//! # Ok::<(), lumenmesh::Error>(())
+//! ```
 
 use crate::geometry::Pose;
 use crate::{Error, Result};
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
+
+/// Adds a setter `with_*` for each field of a struct of settings that hosts cannot write out, since it may gain fields.
+macro_rules! setters {
+    ($type:ident { $($setter:ident => $field:ident: $value:ty),* $(,)? }) => {
+        impl $type {
+            $(
+                #[doc = concat!("Sets [`", stringify!($field), "`](Self::", stringify!($field), ").")]
+                #[must_use]
+                pub fn $setter(mut self, $field: $value) -> Self {
+                    self.$field = $field;
+                    self
+                }
+            )*
+        }
+    };
+}
+#[expect(unused_imports, reason = "for the simulator")]
+pub(crate) use setters;
 
 /// How the wall is reconstructed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -19,7 +46,7 @@ pub enum Method {
     Cylinders,
 }
 
-/// How cylinders become one vessel.
+/// How cylinders are merged into one vessel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
@@ -28,7 +55,7 @@ pub enum Merge {
     /// A new cylinder replaces the rings that it overlaps (published).
     #[default]
     Stitch,
-    /// Cylinders that overlap are averaged, by the points behind them.
+    /// Overlapping cylinders are averaged, weighted by the points that support them.
     Blend,
 }
 
@@ -38,22 +65,22 @@ pub enum Merge {
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[non_exhaustive]
 pub enum Backend {
-    /// What is fastest for the work at hand.
+    /// Wherever the work at hand is likely to be done first.
     #[default]
     Auto,
     /// On the CPU: cylinders in f32, a sweep in f64.
     Cpu,
-    /// On the CPU in f64: the yardstick of the others.
+    /// On the CPU in f64: the reference that the others are compared with.
     Reference,
-    /// On the GPU, or on whatever software stands in for one.
-    #[cfg(feature = "gpu")]
+    /// On the GPU, or on a software driver that stands in for one. A build without the feature `gpu` refuses it.
     Gpu,
 }
 
-/// Which distances of a triangle count.
+/// Which distances of a triangle are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[non_exhaustive]
 pub enum Outliers {
     /// Box plot: keep what lies within 1.5 interquartile ranges of the quartiles, bounds included.
     #[default]
@@ -64,10 +91,11 @@ pub enum Outliers {
     None,
 }
 
-/// What stands for the kept distances of a triangle.
+/// The statistic of the kept distances of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[non_exhaustive]
 pub enum Statistic {
     /// Their mean (published).
     #[default]
@@ -79,6 +107,7 @@ pub enum Statistic {
 /// `eTi`, the probe in the tracker sensor's frame: a constant of the catheter (thesis, Eq. 11).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Calibration {
     /// Origin of the probe in the sensor's frame, mm.
     pub position_mm: [f64; 3],
@@ -92,6 +121,11 @@ impl Default for Calibration {
     }
 }
 
+setters!(Calibration {
+    with_position_mm => position_mm: [f64; 3],
+    with_quaternion => quaternion: [f64; 4],
+});
+
 impl Calibration {
     /// The transform `eTi`.
     pub fn sensor_from_probe(&self) -> Pose {
@@ -103,30 +137,32 @@ impl Calibration {
     }
 }
 
-/// The settings of the method `sweep`. What is not set is chosen from the recording.
+/// The settings of the method `sweep`. Fields that are `None` are chosen from the recording.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Sweep {
-    /// Nodes a ring, at least 8; by default one for each ray of the probe, as far as there are four echoes a node.
+#[non_exhaustive]
+pub struct SweepSettings {
+    /// Nodes per ring, at least 8. By default one for each ray of the probe, as long as there are four echoes per node.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub nodes: Option<u32>,
-    /// τ: how much a wall is expected to bend within its own size; without unit. The wall is smoothed by λ = (noise/τ)².
+    /// τ: how much the wall is expected to bend relative to its own size, dimensionless. The wall is smoothed with the
+    /// weight λ = (noise/τ)².
     pub roughness: f64,
-    /// Whether the surface keeps the parts that no echo supports.
+    /// Whether the surface keeps the parts that no echo supports (marked by the node array `supported`).
     pub keep_unsupported: bool,
-    /// Whether a small error of every pose is estimated along with the wall and taken off. Pays where the tracker is
-    /// noisier than 0.3 mm and 0.5°, or frames are sparse; takes several times as long.
+    /// Whether a small error of every pose is estimated together with the wall and removed. It pays where the tracker is
+    /// noisier than 0.3 mm and 0.5°, or where frames are sparse, and takes several times as long.
     pub correct_poses: bool,
-    /// Whether a constant offset in time between poses and contours is estimated, and taken off where it is
-    /// significant; frames must have times.
+    /// Whether a constant time offset between poses and contours is estimated, and corrected where it is significant.
+    /// Frames must have times.
     pub estimate_offset: bool,
-    /// For vessels that move: an echo's weight halves in so many seconds of newer echoes about it; by default all count
-    /// alike. Frames without a time are taken to be 1/12 s apart.
+    /// For vessels that move, s: the weight of an echo halves for every half-life by which the newest echo between the same
+    /// two rings is newer. By default all echoes count alike. Frames without a time are taken to be 1/12 s apart.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub half_life_s: Option<f64>,
 }
 
-impl Default for Sweep {
+impl Default for SweepSettings {
     fn default() -> Self {
         Self {
             nodes: None,
@@ -139,19 +175,29 @@ impl Default for Sweep {
     }
 }
 
+setters!(SweepSettings {
+    with_nodes => nodes: Option<u32>,
+    with_roughness => roughness: f64,
+    with_keep_unsupported => keep_unsupported: bool,
+    with_correct_poses => correct_poses: bool,
+    with_estimate_offset => estimate_offset: bool,
+    with_half_life_s => half_life_s: Option<f64>,
+});
+
 /// The settings of a reconstruction. Those of the method `cylinders` are the published ones by default (thesis, chapter 3).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Settings {
     /// How the wall is reconstructed.
     pub method: Method,
     /// Where it is computed.
     pub backend: Backend,
-    /// Name, or a part of it, of the adapter that the backend `gpu` takes, and `auto` for work that is worth a
-    /// device; the best one by default.
+    /// Name, or part of the name, of the adapter that the backend `gpu` uses, and `auto` for large work. By default the
+    /// best one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub adapter: Option<String>,
-    /// N: nodes a ring, at least 3.
+    /// N: nodes per ring, at least 3.
     pub nodes: u32,
     /// L: levels of faces, at least 1; a tube has L + 1 rings.
     pub levels: u32,
@@ -159,18 +205,18 @@ pub struct Settings {
     pub height_mm: f64,
     /// Iterations of the fit, at most 10,000.
     pub iterations: u32,
-    /// Radial gate: points from `gate[0]` to `gate[1]` times the cylinder's radius count; at most 1000.
+    /// Radial gate, in radii of the cylinder: points between `gate[0]` and `gate[1]` are used; at most 1000.
     pub gate: [f64; 2],
-    /// Which distances of a triangle count.
+    /// Which distances of a triangle are kept.
     pub outliers: Outliers,
-    /// What stands for the kept distances of a triangle.
+    /// The statistic of the kept distances of a triangle.
     pub statistic: Statistic,
-    /// Every how many frames a cylinder is fitted and merged.
+    /// A cylinder is fitted and merged every so many frames.
     pub every: u32,
-    /// How cylinders become one vessel.
+    /// How cylinders are merged into one vessel.
     pub merge: Merge,
     /// The settings of the method `sweep`.
-    pub sweep: Sweep,
+    pub sweep: SweepSettings,
     /// `eTi`, the probe in the tracker sensor's frame.
     pub calibration: Calibration,
 }
@@ -190,17 +236,34 @@ impl Default for Settings {
             statistic: Statistic::Mean,
             every: 10,
             merge: Merge::Stitch,
-            sweep: Sweep::default(),
+            sweep: SweepSettings::default(),
             calibration: Calibration::default(),
         }
     }
 }
 
+setters!(Settings {
+    with_method => method: Method,
+    with_backend => backend: Backend,
+    with_adapter => adapter: Option<String>,
+    with_nodes => nodes: u32,
+    with_levels => levels: u32,
+    with_height_mm => height_mm: f64,
+    with_iterations => iterations: u32,
+    with_gate => gate: [f64; 2],
+    with_outliers => outliers: Outliers,
+    with_statistic => statistic: Statistic,
+    with_every => every: u32,
+    with_merge => merge: Merge,
+    with_sweep => sweep: SweepSettings,
+    with_calibration => calibration: Calibration,
+});
+
 impl Settings {
-    /// Reads settings from a TOML file; what it does not name keeps its default.
+    /// Reads settings from a TOML file; settings that it does not name keep their defaults.
     ///
     /// # Errors
-    /// Where the file cannot be read, is no TOML, names an unknown setting or fails [`Settings::validate`].
+    /// Where the file cannot be read, is not TOML, names an unknown setting or fails [`Settings::validate`].
     pub fn read_toml(path: &Path) -> Result<Self> {
         let text =
             std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
@@ -230,19 +293,22 @@ impl Settings {
     /// # Errors
     /// [`Error::Setting`] with the first one that fails.
     pub fn validate(&self) -> Result<()> {
-        // A triangle's index and a node's index are u32 on the device. The other bounds are far beyond any
-        // vessel and keep every product of lengths within f32.
-        const MOST_FACES: u64 = 1 << 28;
+        // Triangle and node indices are u32 on the device. The other bounds are far beyond any vessel and keep every
+        // product of lengths within f32.
+        const MAX_FACES: u64 = 1 << 28;
         let fail = |name, found: String, expected: &str| {
             Err(Error::Setting { name, found, expected: expected.into() })
         };
+        if self.backend == Backend::Gpu && cfg!(not(feature = "gpu")) {
+            return fail("backend", "gpu".into(), "auto, cpu or reference: this build has no GPU engine");
+        }
         if self.nodes < 3 {
             return fail("nodes", self.nodes.to_string(), "at least 3");
         }
         if self.levels < 1 {
             return fail("levels", self.levels.to_string(), "at least 1");
         }
-        if u64::from(self.nodes) * u64::from(self.levels) > MOST_FACES {
+        if u64::from(self.nodes) * u64::from(self.levels) > MAX_FACES {
             let faces = u64::from(self.nodes) * u64::from(self.levels);
             return fail("nodes * levels", faces.to_string(), "at most 268435456 faces");
         }
@@ -298,7 +364,7 @@ mod tests {
             statistic: Statistic::Median,
             outliers: Outliers::Deviation,
             gate: [0.0, 8.0],
-            sweep: Sweep { nodes: Some(64), ..Sweep::default() },
+            sweep: SweepSettings { nodes: Some(64), ..SweepSettings::default() },
             ..Settings::default()
         };
         let folder = tempfile::tempdir().unwrap();
@@ -339,10 +405,19 @@ mod tests {
             (Settings { gate: [0.5, 0.5], ..d() }, "gate"),
             (Settings { gate: [0.5, f64::INFINITY], ..d() }, "gate"),
             (Settings { every: 0, ..d() }, "every"),
-            (Settings { sweep: Sweep { nodes: Some(2), ..Sweep::default() }, ..d() }, "sweep.nodes"),
-            (Settings { sweep: Sweep { roughness: f64::NAN, ..Sweep::default() }, ..d() }, "sweep.roughness"),
             (
-                Settings { sweep: Sweep { half_life_s: Some(0.0), ..Sweep::default() }, ..d() },
+                Settings { sweep: SweepSettings { nodes: Some(2), ..SweepSettings::default() }, ..d() },
+                "sweep.nodes",
+            ),
+            (
+                Settings { sweep: SweepSettings { roughness: f64::NAN, ..SweepSettings::default() }, ..d() },
+                "sweep.roughness",
+            ),
+            (
+                Settings {
+                    sweep: SweepSettings { half_life_s: Some(0.0), ..SweepSettings::default() },
+                    ..d()
+                },
                 "sweep.half_life_s",
             ),
             (Settings { nodes: u32::MAX, levels: u32::MAX, ..d() }, "nodes * levels"),

@@ -66,7 +66,7 @@ impl Arguments {
 
         let lumen = lumen(recording, &settings, true)?;
         let truth = Truth::new(simulation.vessel.surface().clone())?;
-        let mut mesh = lumen.surface(&settings);
+        let mut mesh = lumen.surface();
         let sensor_from_probe = settings.calibration.sensor_from_probe();
         let coverage = Coverage::of(recording, sensor_from_probe, truth.surface(), Coverage::WITHIN_MM)?;
         let evaluation = evaluate_covered(&mesh, &truth, &coverage)?;
@@ -81,7 +81,6 @@ impl Arguments {
         let page = html(&Subject {
             title: "lumenmesh demo: a simulated adult aorta",
             recording,
-            settings: &settings,
             lumen: &lumen,
             measured: Some((&truth, &evaluation)),
             command: &format!("lumenmesh demo --seed {}", self.seed),

@@ -1,9 +1,8 @@
 use super::settings::SettingsArguments;
 use super::{print_json, progress};
-use crate::cylinders::fit::merged_frames;
 use crate::cylinders::{Report, write_cylinders};
 use crate::engine::EngineDescription;
-use crate::reconstruction::{Lumen, LumenReport};
+use crate::reconstruction::{Lumen, LumenReport, Reconstructor};
 use crate::recording::Recording;
 use crate::settings::{Method, Settings};
 use crate::surface;
@@ -62,10 +61,10 @@ impl Arguments {
         let recording = Recording::read(&self.recording)?;
         let lumen =
             lumen(&recording, &settings, self.cylinders.is_some()).map_err(|e| e.in_file(&self.recording))?;
-        if let (Some(path), Lumen::Cylinders(reconstruction)) = (&self.cylinders, &lumen) {
+        if let (Some(path), Some(reconstruction)) = (&self.cylinders, lumen.cylinders()) {
             write_cylinders(&reconstruction.cylinders, path)?;
         }
-        lumen.surface(&settings).write(&self.output)?;
+        lumen.surface().write(&self.output)?;
         let report = lumen.report();
         if self.json {
             let (recording, mesh) = (&self.recording, &self.output);
@@ -80,14 +79,17 @@ impl Arguments {
     }
 }
 
-/// Reconstructs, with a progress bar where it can take long.
+/// Reconstructs with a progress bar.
 pub(super) fn lumen(recording: &Recording, settings: &Settings, history: bool) -> Result<Lumen> {
-    let cylinders = match settings.method {
-        Method::Cylinders => merged_frames(recording.frames.len(), settings).len(),
-        _ => 0,
-    };
-    let bar = progress::bar("fitting cylinders", cylinders);
-    let lumen = Lumen::of(recording, settings, history, &|n| bar.inc(n as u64));
+    let bar = progress::bar("reconstructing", 0);
+    let lumen = Reconstructor::new(settings.clone())
+        .history(history)
+        .on_progress(|progress| {
+            bar.set_message(progress.stage);
+            bar.set_length(progress.total as u64);
+            bar.set_position(progress.done as u64);
+        })
+        .run(recording);
     bar.finish_and_clear();
     lumen
 }

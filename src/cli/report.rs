@@ -50,7 +50,7 @@ impl Arguments {
                 let sensor_from_probe = settings.calibration.sensor_from_probe();
                 let coverage =
                     Coverage::of(&recording, sensor_from_probe, truth.surface(), Coverage::WITHIN_MM)?;
-                evaluate_covered(&lumen.surface(&settings), truth, &coverage)
+                evaluate_covered(&lumen.surface(), truth, &coverage)
             })
             .transpose()?;
         let name = self
@@ -60,7 +60,6 @@ impl Arguments {
         let page = html(&Subject {
             title: &format!("Reconstruction of {name}"),
             recording: &recording,
-            settings: &settings,
             lumen: &lumen,
             measured: truth.as_ref().zip(evaluation.as_ref()),
             command: &typed(),

@@ -26,11 +26,13 @@ use crate::{Error, Result};
 use merge::Vessel;
 use serde::Serialize;
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-/// What came out of a recording by local cylinders.
+/// A vessel reconstructed by the published method.
 #[derive(Debug, Clone)]
-pub struct Reconstruction {
+#[non_exhaustive]
+pub struct CylinderReconstruction {
     /// The deformed cylinders of the merged frames.
     pub cylinders: Vec<FittedCylinder>,
     /// The vessel.
@@ -39,8 +41,9 @@ pub struct Reconstruction {
     pub report: Report,
 }
 
-/// A reconstruction in numbers.
+/// A reconstruction by cylinders in numbers.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct Report {
     /// The engine that fitted the cylinders.
     pub engine: EngineDescription,
@@ -68,6 +71,7 @@ pub struct Report {
 
 /// Where the points went. A point can lie in the sections of several cylinders and counts in each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[non_exhaustive]
 pub struct PointCounts {
     /// Wall points in the recording.
     pub recorded: u64,
@@ -83,6 +87,7 @@ pub struct PointCounts {
 
 /// Wall-clock time of each stage, in seconds.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
+#[non_exhaustive]
 pub struct StageSeconds {
     /// Placing the frames in the world, with the estimate of cylinders where there are none.
     pub track: f64,
@@ -92,20 +97,27 @@ pub struct StageSeconds {
     pub merge: f64,
 }
 
-impl Reconstruction {
-    /// Reconstructs the vessel of a recording by the published method: a cylinder every `every` frames, fitted
-    /// by `engine` and merged as the settings ask. With `history`, cylinders keep their radii of every iteration.
-    /// `progress` is told the number of cylinders that have become ready since its last call. [`Settings::method`] is
-    /// not looked at.
+impl CylinderReconstruction {
+    /// Reconstructs the vessel of a recording by the published method: a cylinder every `every` frames, fitted by
+    /// `engine`, and the cylinders merged as the settings say. [`Settings::method`] is ignored.
     ///
     /// # Errors
     /// Where settings are invalid, the recording has fewer than `every` frames, or a frame cannot be used.
-    pub fn new(
+    pub fn of(recording: &Recording, settings: &Settings, engine: &dyn Engine) -> Result<Self> {
+        Self::run(recording, settings, engine, false, &|_, _| ())
+    }
+
+    /// As [`of`](Self::of). With `history`, cylinders keep their radii of every iteration. `progress` is called with the
+    /// number of cylinders that are ready and their total.
+    ///
+    /// # Errors
+    /// As [`of`](Self::of).
+    pub fn run(
         recording: &Recording,
         settings: &Settings,
         engine: &dyn Engine,
         history: bool,
-        progress: &(dyn Fn(usize) + Sync),
+        progress: &(dyn Fn(usize, usize) + Sync),
     ) -> Result<Self> {
         settings.validate()?;
         let start = Instant::now();
@@ -121,7 +133,10 @@ impl Reconstruction {
             });
         }
         let start = Instant::now();
-        let cylinders = engine.fit(&Job { track: &track, frames: &frames, settings, history, progress })?;
+        let ready = AtomicUsize::new(0);
+        let tell = |newly| progress(ready.fetch_add(newly, Ordering::Relaxed) + newly, frames.len());
+        let cylinders =
+            engine.fit(&Job { track: &track, frames: &frames, settings, history, progress: &tell })?;
         let fit_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();

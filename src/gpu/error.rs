@@ -85,9 +85,3 @@ impl GpuError {
         }
     }
 }
-
-impl From<GpuError> for crate::Error {
-    fn from(error: GpuError) -> Self {
-        crate::Error::Gpu(error)
-    }
-}

@@ -2,13 +2,13 @@
 //!
 //! ```
 //! use lumenmesh::reconstruction::Live;
-//! use lumenmesh::settings::{Method, Settings};
+//! use lumenmesh::settings::Settings;
 //! # use lumenmesh::simulate::{self, Insertion, Phantom, Shape, Simulation};
 //! # let vessel = Phantom::from("cylinder".parse::<Shape>()?).vessel()?;
 //! # let settings = simulate::Settings { insertion: Insertion::steady(), ..Default::default() };
 //! # let frames = Simulation::run(vessel, &settings)?.recording.frames;
 //!
-//! let mut live = Live::new(&Settings { method: Method::Sweep, ..Settings::default() })?;
+//! let mut live = Live::new(&Settings::default())?;
 //! for frame in &frames {
 //!     let change = live.push(frame)?;
 //!     for rings in change.changed {
@@ -24,9 +24,7 @@
 
 use crate::cylinders::live::{LiveCylinders, MAX_FRAMES_AT_REST, REST_MM};
 use crate::recording::Frame;
-#[cfg(feature = "gpu")]
-use crate::settings::Backend;
-use crate::settings::{Method, Settings};
+use crate::settings::{Backend, Method, Settings};
 use crate::surface::Surface;
 use crate::sweep::LiveSweep;
 use crate::{Error, Result};
@@ -35,23 +33,24 @@ use std::ops::Range;
 
 /// A vessel that grows frame by frame.
 ///
-/// With the method `cylinders` it is the vessel that [`Reconstruction`](crate::cylinders::Reconstruction) makes of
+/// With the method `cylinders` it is the vessel that [`CylinderReconstruction`](crate::cylinders::CylinderReconstruction) makes of
 /// the same frames, to the last bit, as long as the catheter has not rested for more than
 /// [`MAX_FRAMES_AT_REST`](Self::MAX_FRAMES_AT_REST) frames anywhere. With `sweep` it comes near to
 /// [`Sweep::of`](crate::sweep::Sweep::of), which looks at all echoes at once.
 pub struct Live {
     keep_unsupported: bool,
     frames: usize,
-    way: Way,
+    vessel: Vessel,
 }
 
-enum Way {
+enum Vessel {
     Cylinders(Box<LiveCylinders>),
     Sweep(Box<LiveSweep>),
 }
 
 /// What a frame changed. Rings are numbered along the vessel; ring k has the nodes from k times [`Live::nodes`] on.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub struct Change {
     /// The frame's number: how many were taken before it.
     pub frame: usize,
@@ -70,6 +69,7 @@ pub struct Change {
 
 /// How much was computed for a frame. It has an upper bound, whatever the length of the recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[non_exhaustive]
 pub struct Work {
     /// Echoes that were looked at: the frame's own and older ones.
     pub echoes: usize,
@@ -91,14 +91,14 @@ impl Live {
     /// blended cylinders, a sweep's corrections of the tracker, or its fit on a device.
     pub fn new(settings: &Settings) -> Result<Self> {
         settings.validate()?;
-        let way = match settings.method {
-            Method::Cylinders => Way::Cylinders(Box::new(LiveCylinders::new(settings)?)),
+        let vessel = match settings.method {
+            Method::Cylinders => Vessel::Cylinders(Box::new(LiveCylinders::new(settings)?)),
             Method::Sweep => {
                 check_sweep(settings)?;
-                Way::Sweep(Box::new(LiveSweep::new(settings)))
+                Vessel::Sweep(Box::new(LiveSweep::new(settings)))
             }
         };
-        Ok(Self { keep_unsupported: settings.sweep.keep_unsupported, frames: 0, way })
+        Ok(Self { keep_unsupported: settings.sweep.keep_unsupported, frames: 0, vessel })
     }
 
     /// Takes the next frame and brings the mesh up to date.
@@ -110,13 +110,13 @@ impl Live {
         frame.check(self.frames)?;
         let number = self.frames;
         self.frames += 1;
-        let (before, changed, off_axis, work) = match &mut self.way {
-            Way::Cylinders(cylinders) => {
+        let (before, changed, off_axis, work) = match &mut self.vessel {
+            Vessel::Cylinders(cylinders) => {
                 let step = cylinders.push(frame)?;
                 let work = Work { echoes: step.echoes, rings: step.rings };
                 (0, step.changed, false, work)
             }
-            Way::Sweep(sweep) => {
+            Vessel::Sweep(sweep) => {
                 let step = sweep.push(frame)?;
                 let work = Work { echoes: step.echoes, rings: step.rings };
                 (step.before, step.changed, step.off_axis, work)
@@ -132,17 +132,19 @@ impl Live {
 
     /// Rings of the vessel.
     pub fn rings(&self) -> usize {
-        match &self.way {
-            Way::Cylinders(cylinders) => cylinders.vessel.rings.len(),
-            Way::Sweep(sweep) => sweep.rings(),
+        match &self.vessel {
+            Vessel::Cylinders(cylinders) => cylinders.vessel.rings.len(),
+            Vessel::Sweep(sweep) => sweep.rings(),
         }
     }
 
     /// Nodes a ring; 0 as long as there is no ring.
     pub fn nodes(&self) -> usize {
-        match &self.way {
-            Way::Cylinders(cylinders) => cylinders.vessel.rings.first().map_or(0, |ring| ring.nodes_mm.len()),
-            Way::Sweep(sweep) => sweep.nodes(),
+        match &self.vessel {
+            Vessel::Cylinders(cylinders) => {
+                cylinders.vessel.rings.first().map_or(0, |ring| ring.nodes_mm.len())
+            }
+            Vessel::Sweep(sweep) => sweep.nodes(),
         }
     }
 
@@ -150,9 +152,9 @@ impl Live {
     /// [`Sweep::surface`](crate::sweep::Sweep::surface). A swept one lacks what is not supported, unless the settings keep
     /// it; a vessel that has not begun has no nodes.
     pub fn surface(&self) -> Surface {
-        match &self.way {
-            Way::Cylinders(cylinders) => cylinders.vessel.surface(),
-            Way::Sweep(sweep) => sweep.surface(0..sweep.rings(), self.keep_unsupported),
+        match &self.vessel {
+            Vessel::Cylinders(cylinders) => cylinders.vessel.surface(),
+            Vessel::Sweep(sweep) => sweep.surface(0..sweep.rings(), self.keep_unsupported),
         }
     }
 
@@ -161,9 +163,9 @@ impl Live {
     pub fn part(&self, rings: Range<usize>) -> Surface {
         let end = rings.end.min(self.rings());
         let rings = rings.start.min(end)..end;
-        match &self.way {
-            Way::Cylinders(cylinders) => cylinders.vessel.part(rings),
-            Way::Sweep(sweep) => sweep.surface(rings, true),
+        match &self.vessel {
+            Vessel::Cylinders(cylinders) => cylinders.vessel.part(rings),
+            Vessel::Sweep(sweep) => sweep.surface(rings, true),
         }
     }
 }
@@ -179,7 +181,6 @@ fn check_sweep(settings: &Settings) -> Result<()> {
     if settings.sweep.estimate_offset {
         return refused("sweep.estimate_offset", "true", "false");
     }
-    #[cfg(feature = "gpu")]
     if settings.backend == Backend::Gpu {
         return refused("backend", "gpu", "auto or cpu");
     }

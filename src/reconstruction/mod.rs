@@ -1,73 +1,172 @@
-//! The whole way from a recording to a vessel.
+//! The whole way from a recording to a lumen, by either method.
+//!
+//! [`Reconstructor`] reconstructs whole recordings, [`Live`] takes frames one at a time.
 
 mod live;
 
 pub use live::{Change, Live, Work};
 
 use crate::Result;
-use crate::cylinders::fit::engine;
-use crate::cylinders::{Reconstruction, Report};
+use crate::cylinders::{CylinderReconstruction, Engine, Report as CylindersReport, engine};
 use crate::recording::Recording;
 use crate::settings::{Method, Settings};
 use crate::surface::Surface;
-use crate::sweep::{self, Sweep};
+use crate::sweep::{Report as SweepReport, Sweep};
 use serde::Serialize;
+use std::sync::OnceLock;
+
+/// Reconstructs the lumen of recordings. The engine that fits the cylinders is started once and kept for further runs.
+///
+/// ```no_run
+/// use lumenmesh::reconstruction::Reconstructor;
+/// use lumenmesh::recording::Recording;
+/// use lumenmesh::settings::Settings;
+///
+/// let recording = Recording::read("pullback.mat".as_ref())?;
+/// let reconstructor = Reconstructor::new(Settings::default())
+///     .on_progress(|progress| eprintln!("{}: {} of {}", progress.stage, progress.done, progress.total));
+/// let lumen = reconstructor.run(&recording)?;
+/// lumen.surface().write("vessel.vtp".as_ref())?;
+/// # Ok::<(), lumenmesh::Error>(())
+/// ```
+pub struct Reconstructor<'a> {
+    settings: Settings,
+    history: bool,
+    on_progress: Box<dyn Fn(Progress) + Send + Sync + 'a>,
+    engine: OnceLock<Box<dyn Engine>>,
+}
+
+/// How far a reconstruction has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Progress {
+    /// What is being done, such as `"fitting cylinders"`.
+    pub stage: &'static str,
+    /// Steps of the stage that are done.
+    pub done: usize,
+    /// Steps of the stage in all.
+    pub total: usize,
+}
+
+impl<'a> Reconstructor<'a> {
+    /// A reconstructor with these settings. They are checked by [`run`](Self::run).
+    pub fn new(settings: Settings) -> Self {
+        Self { settings, history: false, on_progress: Box::new(|_| ()), engine: OnceLock::new() }
+    }
+
+    /// Calls `report` whenever a step is done, from any thread: the sweep reports its stages, the published method its
+    /// cylinders. A call must not block.
+    #[must_use]
+    pub fn on_progress(mut self, report: impl Fn(Progress) + Send + Sync + 'a) -> Self {
+        self.on_progress = Box::new(report);
+        self
+    }
+
+    /// Keeps the radii of the cylinders after every iteration, not only after the last. The sweep has no such history.
+    #[must_use]
+    pub fn history(mut self, keep: bool) -> Self {
+        self.history = keep;
+        self
+    }
+
+    /// Reconstructs the lumen of a recording.
+    ///
+    /// # Errors
+    /// Where settings are invalid or ask for a device that is not there, a frame cannot be used, or the contours cover no
+    /// length of a vessel.
+    pub fn run(&self, recording: &Recording) -> Result<Lumen> {
+        self.settings.validate()?;
+        let vessel = match self.settings.method {
+            Method::Cylinders => {
+                let tell =
+                    |done, total| (self.on_progress)(Progress { stage: "fitting cylinders", done, total });
+                let engine = self.engine()?;
+                Vessel::Cylinders(CylinderReconstruction::run(
+                    recording,
+                    &self.settings,
+                    engine,
+                    self.history,
+                    &tell,
+                )?)
+            }
+            Method::Sweep => Vessel::Sweep(Sweep::of(recording, &self.settings)?),
+        };
+        Ok(Lumen { settings: self.settings.clone(), vessel })
+    }
+
+    /// The engine that the settings ask for, started by the first call.
+    fn engine(&self) -> Result<&dyn Engine> {
+        if let Some(engine) = self.engine.get() {
+            return Ok(&**engine);
+        }
+        let started = engine(&self.settings)?;
+        Ok(&**self.engine.get_or_init(|| started))
+    }
+}
 
 /// The lumen of a recording, by the method that the settings name.
-// One is made a recording: its size does not matter.
+#[derive(Debug, Clone)]
+pub struct Lumen {
+    settings: Settings,
+    vessel: Vessel,
+}
+
+/// What either method makes.
+// One exists per recording, so the size of the variants is irrelevant.
 #[expect(clippy::large_enum_variant)]
 #[derive(Debug, Clone)]
-pub enum Lumen {
-    /// Local cylinders, merged.
-    Cylinders(Reconstruction),
-    /// One tube along the centreline.
+enum Vessel {
+    Cylinders(CylinderReconstruction),
     Sweep(Sweep),
 }
 
 /// What was done, in numbers, by either method.
 #[derive(Debug, Clone, Copy, Serialize)]
 #[serde(untagged)]
+#[non_exhaustive]
 pub enum LumenReport<'a> {
-    /// By local cylinders.
-    Cylinders(&'a Report),
-    /// By one tube.
-    Sweep(&'a sweep::Report),
+    /// By the published method.
+    Cylinders(&'a CylindersReport),
+    /// By the sweep.
+    Sweep(&'a SweepReport),
 }
 
 impl Lumen {
-    /// Reconstructs the lumen of a recording, where and how the settings say. With `history`, cylinders keep their radii
-    /// of every iteration; `progress` is told the number of cylinders that have become ready since its last call.
-    ///
-    /// # Errors
-    /// As [`Reconstruction::new`] and [`Sweep::of`], and where there is no such device.
-    pub fn of(
-        recording: &Recording,
-        settings: &Settings,
-        history: bool,
-        progress: &(dyn Fn(usize) + Sync),
-    ) -> Result<Self> {
-        match settings.method {
-            Method::Cylinders => {
-                let engine = engine(settings)?;
-                Reconstruction::new(recording, settings, &*engine, history, progress).map(Self::Cylinders)
-            }
-            Method::Sweep => Sweep::of(recording, settings).map(Self::Sweep),
-        }
+    /// The settings that it was reconstructed with.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
     }
 
-    /// The lumen as a triangle surface; of a sweep without what no echo supports, unless the settings keep that.
-    pub fn surface(&self, settings: &Settings) -> Surface {
-        match self {
-            Self::Cylinders(reconstruction) => reconstruction.vessel.surface(),
-            Self::Sweep(sweep) => sweep.surface(settings.sweep.keep_unsupported),
+    /// The lumen as a triangle surface with arrays per node: [`MergedVessel::surface`](crate::cylinders::merge::Vessel::surface)
+    /// and [`Sweep::surface`] say which. Parts of a sweep that no echo supports are cut off unless the settings keep them.
+    pub fn surface(&self) -> Surface {
+        match &self.vessel {
+            Vessel::Cylinders(cylinders) => cylinders.vessel.surface(),
+            Vessel::Sweep(sweep) => sweep.surface(self.settings.sweep.keep_unsupported),
         }
     }
 
     /// What was done, in numbers.
     pub fn report(&self) -> LumenReport<'_> {
-        match self {
-            Self::Cylinders(reconstruction) => LumenReport::Cylinders(&reconstruction.report),
-            Self::Sweep(sweep) => LumenReport::Sweep(&sweep.report),
+        match &self.vessel {
+            Vessel::Cylinders(cylinders) => LumenReport::Cylinders(&cylinders.report),
+            Vessel::Sweep(sweep) => LumenReport::Sweep(&sweep.report),
+        }
+    }
+
+    /// The fitted cylinders and the vessel merged from them; `None` of a sweep.
+    pub fn cylinders(&self) -> Option<&CylinderReconstruction> {
+        match &self.vessel {
+            Vessel::Cylinders(cylinders) => Some(cylinders),
+            Vessel::Sweep(_) => None,
+        }
+    }
+
+    /// Axis, radii and support of the sweep; `None` of cylinders.
+    pub fn sweep(&self) -> Option<&Sweep> {
+        match &self.vessel {
+            Vessel::Sweep(sweep) => Some(sweep),
+            Vessel::Cylinders(_) => None,
         }
     }
 }

@@ -5,12 +5,11 @@ use super::plot::{Line, Mark, Room, Violin, lines, violins};
 use super::render::Style;
 use crate::Result;
 use crate::cylinders::merge::Ring;
-use crate::cylinders::{Reconstruction, Report};
+use crate::cylinders::{CylinderReconstruction, Report};
 use crate::engine::EngineDescription;
 use crate::evaluate::{self, Evaluation, Truth};
 use crate::reconstruction::{Lumen, LumenReport};
 use crate::recording::{Recording, Spread, Summary};
-use crate::settings::Settings;
 use glam::DVec3;
 
 /// What a page shows.
@@ -19,8 +18,6 @@ pub struct Subject<'a> {
     pub title: &'a str,
     /// What was recorded.
     pub recording: &'a Recording,
-    /// How it was reconstructed.
-    pub settings: &'a Settings,
     /// The lumen. Of cylinders with history, the page shows the errors of every iteration.
     pub lumen: &'a Lumen,
     /// The truth and how far the vessel's surface is from it, where it is known.
@@ -38,11 +35,11 @@ pub fn html(subject: &Subject) -> Result<String> {
     let Subject { lumen, measured, .. } = subject;
     let mut page = Page::new(subject.title);
     summary(&mut page, subject);
-    if let Lumen::Cylinders(reconstruction) = lumen {
+    if let Some(reconstruction) = lumen.cylinders() {
         convergence(&mut page, reconstruction, *measured)?;
     }
 
-    let mut mesh = lumen.surface(subject.settings);
+    let mut mesh = lumen.surface();
     let array = match measured {
         Some((_, evaluation)) => {
             page.heading("Error");
@@ -85,18 +82,16 @@ pub fn html(subject: &Subject) -> Result<String> {
     };
     page.mesh(&mesh, &style, caption)?;
 
-    match lumen {
-        Lumen::Cylinders(reconstruction) => {
-            coverage(&mut page, &reconstruction.vessel.rings)?;
-            noise(&mut page, reconstruction)?;
-        }
-        Lumen::Sweep(sweep) => {
-            super::sweep::coverage(&mut page, sweep)?;
-            super::sweep::noise(&mut page, sweep)?;
-        }
+    if let Some(reconstruction) = lumen.cylinders() {
+        coverage(&mut page, &reconstruction.vessel.rings)?;
+        noise(&mut page, reconstruction)?;
+    }
+    if let Some(sweep) = lumen.sweep() {
+        super::sweep::coverage(&mut page, sweep)?;
+        super::sweep::noise(&mut page, sweep)?;
     }
     page.heading("Settings");
-    page.listing(&subject.settings.to_toml()?);
+    page.listing(&subject.lumen.settings().to_toml()?);
     page.heading("How to reproduce");
     page.listing(subject.command);
     if measured.is_some() {
@@ -176,7 +171,7 @@ fn cylinder_rows(report: &Report) -> Vec<(&'static str, String)> {
 
 fn convergence(
     page: &mut Page,
-    reconstruction: &Reconstruction,
+    reconstruction: &CylinderReconstruction,
     measured: Option<(&Truth, &Evaluation)>,
 ) -> Result<()> {
     let travel = &reconstruction.report.mean_travel_mm;
@@ -200,7 +195,7 @@ fn convergence(
 }
 
 /// Mean distance of the single cylinders' nodes to the truth after each iteration, as far as they remember it.
-fn errors_by_iteration(reconstruction: &Reconstruction, truth: &Truth) -> Vec<[f64; 2]> {
+fn errors_by_iteration(reconstruction: &CylinderReconstruction, truth: &Truth) -> Vec<[f64; 2]> {
     let cylinders = &reconstruction.cylinders;
     let iterations = cylinders.iter().map(|c| c.tube.history_mm.len()).min().unwrap_or(0);
     (0..iterations)
@@ -283,7 +278,7 @@ fn coverage(page: &mut Page, rings: &[Ring]) -> Result<()> {
     Ok(())
 }
 
-fn noise(page: &mut Page, reconstruction: &Reconstruction) -> Result<()> {
+fn noise(page: &mut Page, reconstruction: &CylinderReconstruction) -> Result<()> {
     let report = &reconstruction.report;
     let points = &report.points;
     page.heading("Noise");

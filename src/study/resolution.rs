@@ -1,7 +1,7 @@
 //! Resolution and iterations against error and time, on one recording whose truth is known: what the thesis leaves as
 //! future work.
 
-use crate::cylinders::Reconstruction;
+use crate::cylinders::CylinderReconstruction;
 use crate::cylinders::fit::Engine;
 use crate::evaluate::{Truth, evaluate};
 use crate::output::{ending, write_atomically};
@@ -111,13 +111,13 @@ impl<'a> Study<'a> {
     /// Reconstructs with one combination `repeats` times (at least once) and measures it.
     ///
     /// # Errors
-    /// As [`Reconstruction::new`] and [`evaluate`].
+    /// As [`CylinderReconstruction::of`] and [`evaluate`].
     pub fn measure(&self, cell: Cell, engine: &dyn Engine, repeats: usize) -> Result<Row> {
         let Cell { nodes, levels, iterations } = cell;
         let settings = Settings { nodes, levels, iterations, ..self.settings.clone() };
         let mut times = Vec::new();
         loop {
-            let done = Reconstruction::new(self.recording, &settings, engine, false, &|_| ())?;
+            let done = CylinderReconstruction::of(self.recording, &settings, engine)?;
             let report = &done.report;
             times.push((report.seconds.fit + report.seconds.merge) * 1e3 / report.cylinders as f64);
             if times.len() < repeats {

@@ -1,5 +1,5 @@
 //! One smooth vessel from all echoes: a tube swept along the estimated centreline, its wall found by penalised least
-//! squares (`docs/methods.md`).
+//! squares (`docs/method.md`).
 //!
 //! Contours and poses are all it needs. Data flows one way: outlines of the contours → `centreline` → `axis` → echoes about the
 //! axis → `wall` → support of every node → surface. Where settings ask for it, `tracker`

@@ -22,7 +22,7 @@ fn the_device_may_take_over_after_any_stage() {
     let (Some(device), Some(mut other)) = (device(), open()) else { return };
     let recording = recording(40, 150, 113);
     for statistic in [Statistic::Mean, Statistic::Median] {
-        let settings = Settings { nodes: 24, levels: 8, statistic, ..Settings::default() };
+        let settings = Settings::default().with_nodes(24).with_levels(8).with_statistic(statistic);
         let track = Track::of(&recording, &settings).unwrap();
         let job = Job { history: true, ..Job::new(&track, &[9, 19, 29, 39], &settings) };
         let expected = device.engine.fit(&job).unwrap();
@@ -40,7 +40,7 @@ fn the_device_may_take_over_after_any_stage() {
 #[test]
 fn the_cpu_s_stages_do_take_part() {
     let Some(mut device) = open() else { return };
-    let settings = Settings { iterations: 1, ..Settings::default() };
+    let settings = Settings::default().with_iterations(1);
     let section = wall(2_000, 131);
     device.engine = device.engine.with_cpu_stages(CpuStages::Iterations(1));
     // With every iteration on the CPU a device that has no iteration to do gives the CPU's, to the bit.

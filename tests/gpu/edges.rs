@@ -20,7 +20,7 @@ fn agrees(device: &Device, section: &Section<f32>, settings: &Settings) {
 #[test]
 fn all_points_in_one_face_of_a_hundred() {
     let Some(device) = device() else { return };
-    let settings = Settings { nodes: 20, levels: 5, ..Settings::default() };
+    let settings = Settings::default().with_nodes(20).with_levels(5);
     agrees(device, &patch(30_000, 61, 0.0..TAU / 20.0, -5.0..-3.0), &settings);
 }
 
@@ -28,7 +28,7 @@ fn all_points_in_one_face_of_a_hundred() {
 fn half_the_faces_empty() {
     let Some(device) = device() else { return };
     for (nodes, levels) in [(12, 5), (64, 64)] {
-        let settings = Settings { nodes, levels, ..Settings::default() };
+        let settings = Settings::default().with_nodes(nodes).with_levels(levels);
         agrees(device, &patch(20_000, 67, 0.0..PI, -5.0..5.0), &settings);
         agrees(device, &patch(20_000, 67, 0.0..TAU, -5.0..0.0), &settings);
     }
@@ -39,7 +39,7 @@ fn one_face_with_a_hundred_thousand_points_among_short_ones() {
     let Some(device) = device() else { return };
     let crowd = patch(100_000, 71, 1.1..1.5, 0.1..1.9);
     for outliers in [Outliers::Iqr, Outliers::Deviation, Outliers::None] {
-        let settings = Settings { outliers, ..Settings::default() };
+        let settings = Settings::default().with_outliers(outliers);
         agrees(device, &both(wall(2_000, 73), &crowd), &settings);
     }
 }
@@ -48,7 +48,7 @@ fn one_face_with_a_hundred_thousand_points_among_short_ones() {
 fn two_points_a_triangle() {
     let Some(device) = device() else { return };
     for (nodes, levels) in [(12, 5), (64, 64)] {
-        let settings = Settings { nodes, levels, ..Settings::default() };
+        let settings = Settings::default().with_nodes(nodes).with_levels(levels);
         agrees(device, &wall(4 * (nodes * levels) as usize, 79), &settings);
     }
 }
@@ -59,7 +59,7 @@ fn no_point_one_point_two_points() {
     for count in [0, 1, 2] {
         agrees(device, &wall(count, 83), &Settings::default());
     }
-    agrees(device, &wall(500, 83), &Settings { iterations: 0, ..Settings::default() });
+    agrees(device, &wall(500, 83), &Settings::default().with_iterations(0));
 }
 
 /// Points exactly on every edge between faces, on both ends, at both gates and at the seam.
@@ -87,7 +87,7 @@ fn on_edges(nodes: u32, levels: u32, gate: [f64; 2]) -> Section<f32> {
 fn points_on_edges_belong_to_one_face_each() {
     let Some(device) = device() else { return };
     for (nodes, levels) in [(12, 5), (7, 3), (64, 1)] {
-        let settings = Settings { nodes, levels, ..Settings::default() };
+        let settings = Settings::default().with_nodes(nodes).with_levels(levels);
         let section = on_edges(nodes, levels, settings.gate);
         bins_and_scatters(device, &section, &settings);
         agrees(device, &section, &settings);
@@ -97,7 +97,7 @@ fn points_on_edges_belong_to_one_face_each() {
 #[test]
 fn denormal_numbers_and_points_on_the_axis() {
     let Some(device) = device() else { return };
-    let settings = Settings { gate: [0.0, 1.5], ..Settings::default() };
+    let settings = Settings::default().with_gate([0.0, 1.5]);
     let mut section = wall(1_000, 89);
     let tiny = [0.0, -0.0, 1e-45, 1e-40, f32::MIN_POSITIVE, 1e-30];
     for r in tiny {
@@ -156,7 +156,7 @@ fn echoes_too_far_for_f32_are_left_out_as_on_the_cpu() {
 fn small_jobs_after_a_large_one_see_nothing_of_it() {
     let Some(device) = device() else { return };
     let coarse = Settings::default();
-    let fine = Settings { nodes: 200, levels: 150, ..Settings::default() };
+    let fine = Settings::default().with_nodes(200).with_levels(150);
     for (points, settings) in [(100, &coarse), (200_000, &fine), (100, &coarse), (0, &coarse), (3_000, &fine)]
     {
         agrees(device, &wall(points, 101), settings);
@@ -167,7 +167,7 @@ fn small_jobs_after_a_large_one_see_nothing_of_it() {
 fn more_than_65535_workgroups_a_pass() {
     let Some(device) = device() else { return };
     // 64 faces or nodes a workgroup: 65,625 of them.
-    let settings = Settings { nodes: 4_200_000, levels: 1, iterations: 1, ..Settings::default() };
+    let settings = Settings::default().with_nodes(4_200_000).with_levels(1).with_iterations(1);
     agrees(device, &wall(20_000, 103), &settings);
 }
 
@@ -175,6 +175,6 @@ fn more_than_65535_workgroups_a_pass() {
 #[test]
 fn thousands_of_long_faces_are_all_measured() {
     let Some(device) = device() else { return };
-    let settings = Settings { nodes: 100, levels: 60, iterations: 1, ..Settings::default() };
+    let settings = Settings::default().with_nodes(100).with_levels(60).with_iterations(1);
     agrees(device, &wall(2_400_000, 173), &settings);
 }

@@ -7,7 +7,7 @@ use lumenmesh::cylinders::{AutoEngine, CpuEngine, Engine, Job, Track};
 use lumenmesh::gpu::GpuError;
 use lumenmesh::low_level::cylinders::gpu::GpuEngine;
 use lumenmesh::low_level::sweep::gpu::SweepEngine;
-use lumenmesh::settings::{Backend, Settings, Sweep as SweepSettings};
+use lumenmesh::settings::{Backend, Settings, SweepSettings};
 use lumenmesh::sweep::Sweep;
 use std::sync::mpsc;
 use std::time::Duration;
@@ -73,16 +73,16 @@ fn a_sweep_on_a_destroyed_device_fails() {
 #[test]
 fn a_large_sweep_falls_back_to_the_cpu_and_says_why() {
     let pullback = recording(150, 300, 167);
-    let sweep = SweepSettings { nodes: Some(512), ..SweepSettings::default() };
-    let settings = Settings { sweep, adapter: Some("no such adapter".into()), ..Settings::default() };
+    let sweep = SweepSettings::default().with_nodes(Some(512));
+    let settings = Settings::default().with_sweep(sweep).with_adapter(Some("no such adapter".into()));
     let fallen_back = Sweep::of(&pullback, &settings).unwrap();
     let why = fallen_back.report.engine.why.unwrap();
     assert!(fallen_back.report.engine.name == "cpu" && why.contains("no such adapter"), "{why}");
-    let settings = Settings { backend: Backend::Cpu, ..settings };
+    let settings = settings.with_backend(Backend::Cpu);
     let on_cpu = Sweep::of(&pullback, &settings).unwrap();
     assert_eq!(on_cpu.report.engine.why, None);
     assert_eq!(fallen_back.radii_mm, on_cpu.radii_mm);
-    let settings = Settings { backend: Backend::Gpu, ..settings };
+    let settings = settings.with_backend(Backend::Gpu);
     let failed = Sweep::of(&pullback, &settings).unwrap_err();
     assert!(matches!(failed, Error::Gpu(GpuError::NoAdapter { .. })), "{failed}");
 }
@@ -108,7 +108,7 @@ fn too_large_a_job_is_refused_with_both_numbers() {
         refused(most + 1, &Settings::default());
     }
     let faces = 1 << 28;
-    let (name, needed) = refused(10, &Settings { nodes: faces, levels: 1, ..Settings::default() });
+    let (name, needed) = refused(10, &Settings::default().with_nodes(faces).with_levels(1));
     assert_eq!((name.as_str(), needed), ("statistics", 24 * u64::from(faces)));
     let failed = device.engine.prepare(u32::MAX, RADIUS_MM, &Settings::default()).err().unwrap();
     let message = failed.to_string();
@@ -131,14 +131,14 @@ fn an_unknown_adapter_is_answered_with_those_that_are_there() {
 
 /// Enough work to look for a device, little enough to do here.
 fn large() -> Settings {
-    Settings { nodes: 1000, levels: 800, iterations: 30, ..Settings::default() }
+    Settings::default().with_nodes(1000).with_levels(800).with_iterations(30)
 }
 
 #[test]
 fn auto_falls_back_to_the_cpu_and_says_why() {
     let section = wall(2_000, 151);
     let engine = AutoEngine::default();
-    let settings = Settings { adapter: Some("no such adapter".into()), ..large() };
+    let settings = large().with_adapter(Some("no such adapter".into()));
     let tube = engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
     let description = engine.describe();
     assert_eq!(description.name, "cpu");
@@ -147,7 +147,7 @@ fn auto_falls_back_to_the_cpu_and_says_why() {
     let cpu = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
     assert_eq!(tube.radii_mm, cpu.radii_mm);
     // The next call's adapter is looked for anew.
-    let settings = Settings { adapter: Some("nor this one".into()), ..large() };
+    let settings = large().with_adapter(Some("nor this one".into()));
     engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
     let why = engine.describe().why.unwrap();
     assert!(why.contains("nor this one"), "{why}");

@@ -38,7 +38,7 @@ pub fn for_three_cylinders(
     let recording = recording(30, 40, 41);
     for (nodes, levels) in [(3, 1), (4, 2), (7, 9), (16, 4), (13, 5), (12, 5), (257, 3)] {
         for empty in [0.0, 0.3, 0.9, 1.0] {
-            let settings = Settings { nodes, levels, ..Settings::default() };
+            let settings = Settings::default().with_nodes(nodes).with_levels(levels);
             let track = Track::of(&recording, &settings).unwrap();
             let job = Job::new(&track, &[9, 19, 29], &settings);
             let [workspace] = &device.engine.prepare_job(&job).unwrap()[..] else { panic!("one batch") };

@@ -77,7 +77,7 @@ fn bin_and_scatter_are_their_twin() {
     let Some(device) = device() else { return };
     for (nodes, levels) in [(12, 5), (3, 1), (64, 48)] {
         for count in POINTS {
-            let settings = Settings { nodes, levels, ..Settings::default() };
+            let settings = Settings::default().with_nodes(nodes).with_levels(levels);
             bins_and_scatters(device, &wall(count, 17), &settings);
         }
     }
@@ -120,7 +120,7 @@ fn the_scan_is_a_running_sum() {
     // About the 4, 256 and 1024 faces of an invocation, a workgroup and a block, and the 256 blocks of one turn
     // of the spine.
     for faces in [3, 4, 5, 255, 256, 257, 1023, 1024, 1025, 262_143, 262_144, 262_145, 600_000] {
-        let settings = Settings { nodes: faces, levels: 1, ..Settings::default() };
+        let settings = Settings::default().with_nodes(faces).with_levels(1);
         let workspace = device.engine.prepare(10, RADIUS_MM, &settings).unwrap();
         let counts: Vec<u32> = (0..faces).map(|_| rng.random_range(0..9)).collect();
         let counts_bytes = ("counts", bytemuck::cast_slice(&counts));
@@ -155,7 +155,7 @@ fn long_faces_are_those_above_the_short_capacity() {
     let Some(device) = device() else { return };
     let mut rng = seeded(29);
     for faces in [3_u32, 255, 256, 257, 1025] {
-        let settings = Settings { nodes: faces, levels: 1, ..Settings::default() };
+        let settings = Settings::default().with_nodes(faces).with_levels(1);
         let most = 32;
         let mut offsets = vec![0_u32];
         for face in 0..faces {

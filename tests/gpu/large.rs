@@ -24,7 +24,7 @@ fn peak_memory() -> Option<u64> {
 #[ignore = "takes a minute; run it optimised"]
 fn ten_million_points_and_four_million_faces_within_8_gib() {
     let Some(device) = device() else { return };
-    let settings = Settings { nodes: 2048, levels: 2048, ..Settings::default() };
+    let settings = Settings::default().with_nodes(2048).with_levels(2048);
     let section = wall(10_000_000, 167);
     device.engine.warm_up().unwrap();
     let start = Instant::now();
@@ -44,7 +44,7 @@ fn ten_million_points_and_four_million_faces_within_8_gib() {
 #[test]
 fn a_face_with_more_points_than_a_driver_s_loops_allow_is_never_a_wrong_result() {
     let Some(device) = device() else { return };
-    let settings = Settings { nodes: 3, levels: 1, iterations: 1, ..Settings::default() };
+    let settings = Settings::default().with_nodes(3).with_levels(1).with_iterations(1);
     let section = wall(10_000_000, 168);
     match device.engine.fit_section(&section, RADIUS_MM, &settings) {
         Ok(found) => {

@@ -142,7 +142,7 @@ fn measure_short_is_its_twins_with_every_number_of_lanes() {
         sizes.resize(60, lanes * 3 / 2);
         for pattern in PATTERNS {
             for (outliers, statistic) in all_rules() {
-                let settings = Settings { outliers, statistic, ..Settings::default() };
+                let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
                 let faces = Faces::new(&settings, &sizes, pattern);
                 let count = faces.points.len() as u32;
                 let chosen = device.engine.prepare(count, RADIUS_MM, &settings).unwrap().job().short_most;
@@ -160,7 +160,7 @@ fn measure_long_is_its_twins() {
     sizes.resize(60, 20);
     for pattern in PATTERNS {
         for (outliers, statistic) in all_rules() {
-            let settings = Settings { outliers, statistic, ..Settings::default() };
+            let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
             Faces::new(&settings, &sizes, pattern).agrees(device, &settings, true);
         }
     }
@@ -186,6 +186,6 @@ fn measure_long_begins_right_above_each_short_capacity() {
 fn more_long_faces_than_workgroups_are_all_measured() {
     let Some(device) = device() else { return };
     // At most 1024 workgroups take the long faces in turn.
-    let settings = Settings { nodes: 50, levels: 30, ..Settings::default() };
+    let settings = Settings::default().with_nodes(50).with_levels(30);
     Faces::new(&settings, &[300; 1500], Pattern::Random).agrees(device, &settings, true);
 }

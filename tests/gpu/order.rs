@@ -23,7 +23,11 @@ fn permuted_points_give_the_same_bits() {
     for (nodes, levels, points) in [(64, 48, 20_000), (12, 5, 60_000), (12, 5, 9_000)] {
         for outliers in [Outliers::Iqr, Outliers::Deviation, Outliers::None] {
             for statistic in [Statistic::Mean, Statistic::Median] {
-                let settings = Settings { nodes, levels, outliers, statistic, ..Settings::default() };
+                let settings = Settings::default()
+                    .with_nodes(nodes)
+                    .with_levels(levels)
+                    .with_outliers(outliers)
+                    .with_statistic(statistic);
                 let section = wall(points, 53);
                 let first = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
                 for seed in 0..2 {

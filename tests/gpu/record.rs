@@ -68,7 +68,7 @@ fn a_workspace_can_be_recorded_again_for_new_points() {
 fn an_encoder_can_hold_several_workspaces() {
     let Some(device) = device() else { return };
     let coarse = Settings::default();
-    let fine = Settings { nodes: 64, levels: 32, ..Settings::default() };
+    let fine = Settings::default().with_nodes(64).with_levels(32);
     let (a, b) = (wall(3_000, 181), wall(9_000, 191));
     let first = device.engine.prepare(3_000, RADIUS_MM, &coarse).unwrap();
     let second = device.engine.prepare(9_000, RADIUS_MM, &fine).unwrap();
@@ -91,7 +91,7 @@ fn passes_are_timed_one_by_one_in_their_order() {
         say("SKIPPED: the device cannot time passes");
         return;
     }
-    let settings = Settings { iterations: 2, ..Settings::default() };
+    let settings = Settings::default().with_iterations(2);
     let section = wall(2_000, 193);
     let workspace = device.engine.prepare(2_000, RADIUS_MM, &settings).unwrap();
     write(device, &workspace, &section);
@@ -140,7 +140,7 @@ fn a_device_with_little_room_takes_a_job_in_batches() {
 
     // Many points, and many frames with one point or none, whose transforms take more room than they do.
     for (pullback, every) in [(recording(100, 150, 197), 10), (close_together(recording(100, 1, 199)), 2)] {
-        let settings = Settings { every, ..Settings::default() };
+        let settings = Settings::default().with_every(every);
         let track = Track::of(&pullback, &settings).unwrap();
         let frames = merged_frames(track.len(), &settings);
         let batches = AtomicUsize::new(0);

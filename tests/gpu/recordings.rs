@@ -33,7 +33,11 @@ fn a_recording_fits_as_on_the_cpu_with_every_rule_and_grid() {
     for (nodes, levels) in [(12, 5), (3, 1), (64, 64)] {
         for outliers in [Outliers::Iqr, Outliers::Deviation, Outliers::None] {
             for statistic in [Statistic::Mean, Statistic::Median] {
-                let settings = Settings { nodes, levels, outliers, statistic, ..Settings::default() };
+                let settings = Settings::default()
+                    .with_nodes(nodes)
+                    .with_levels(levels)
+                    .with_outliers(outliers)
+                    .with_statistic(statistic);
                 let track = Track::of(&recording, &settings).unwrap();
                 let frames = merged_frames(track.len(), &settings);
                 let ready = AtomicUsize::new(0);
@@ -75,7 +79,7 @@ fn golden_cylinders_come_out_to_the_precision_of_f32() {
         }
         let mut frames: Vec<usize> = radii.keys().map(|key| key.0).collect();
         frames.dedup();
-        let settings = Settings { nodes, levels, statistic, ..Settings::default() };
+        let settings = Settings::default().with_nodes(nodes).with_levels(levels).with_statistic(statistic);
         let track = Track::of(&Recording::read(&recording).unwrap(), &settings).unwrap();
         let job = Job { history: true, ..Job::new(&track, &frames, &settings) };
         let found = device.engine.fit(&job).unwrap();
@@ -128,7 +132,7 @@ fn the_fitting_error_is_the_cpu_s() {
 #[test]
 fn a_second_run_gives_the_same_bits() {
     let Some(device) = device() else { return };
-    let settings = Settings { nodes: 24, levels: 8, ..Settings::default() };
+    let settings = Settings::default().with_nodes(24).with_levels(8);
     let track = Track::of(&recording(40, 500, 109), &settings).unwrap();
     let job = Job::new(&track, &[9, 19, 29, 39], &settings);
     let first = device.engine.fit(&job).unwrap();

@@ -216,7 +216,7 @@ fn constant(module: &Module, name: &str) -> u32 {
 #[test]
 fn constants_are_those_of_rust() {
     let job = |outliers, statistic| {
-        DeviceJob::new(&Settings { outliers, statistic, ..Settings::default() }, 1, 0, None, 4)
+        DeviceJob::new(&Settings::default().with_outliers(outliers).with_statistic(statistic), 1, 0, None, 4)
     };
     let shader = module(row("measure_long"));
     for (name, outliers) in [

@@ -65,7 +65,7 @@ fn a_device_with_little_room_sweeps_the_same_bits_chunk_by_chunk() {
     let small = SweepEngine::on_device(small, queue).unwrap();
 
     let recording = stenosis();
-    let settings = Settings { adapter: Some(adapter_name), ..Settings::default() };
+    let settings = Settings::default().with_adapter(Some(adapter_name));
     let whole = Sweep::on_device(&recording, &settings, &device.engine).unwrap();
     let again = Sweep::on_device(&recording, &settings, &device.engine).unwrap();
     assert_eq!(again.radii_mm, whole.radii_mm);
@@ -106,7 +106,7 @@ fn any_number_of_threads_sweeps_the_same_bytes() {
 
 #[test]
 fn auto_says_where_it_fitted_and_why() {
-    let settings = Settings { backend: Backend::Auto, ..Settings::default() };
+    let settings = Settings::default().with_backend(Backend::Auto);
     let report = Sweep::of(&stenosis(), &settings).unwrap().report;
     assert_eq!(report.engine.name, "cpu");
     assert!(report.engine.why.unwrap().contains("less than starting a device takes"));

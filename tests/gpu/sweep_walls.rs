@@ -4,7 +4,7 @@ use crate::device::{device, say};
 use crate::recordings::shared;
 use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::recording::Recording;
-use lumenmesh::settings::{Backend, Settings, Sweep as SweepSettings};
+use lumenmesh::settings::{Backend, Settings, SweepSettings};
 use lumenmesh::simulate::{self, Noise, Phantom, Probe, Shape, Simulation};
 use lumenmesh::study::bench::SweepCase;
 use lumenmesh::surface::Surface;
@@ -12,12 +12,10 @@ use lumenmesh::sweep::Sweep;
 
 fn settings(backend: Backend, nodes: Option<u32>) -> Settings {
     let adapter = std::env::var("LUMENMESH_ADAPTER").ok();
-    Settings {
-        backend,
-        adapter,
-        sweep: SweepSettings { nodes, ..SweepSettings::default() },
-        ..Settings::default()
-    }
+    Settings::default()
+        .with_backend(backend)
+        .with_adapter(adapter)
+        .with_sweep(SweepSettings::default().with_nodes(nodes))
 }
 
 /// |Δr| over the nodes that both support, sorted, mm.

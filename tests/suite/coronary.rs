@@ -3,7 +3,7 @@
 use crate::support::{lumenmesh, shared};
 use glam::DVec2;
 use lumenmesh::cylinders::CpuEngine;
-use lumenmesh::cylinders::Reconstruction;
+use lumenmesh::cylinders::CylinderReconstruction;
 use lumenmesh::cylinders::estimate::{CylinderEstimator, LocalEstimate, Upright};
 use lumenmesh::evaluate::{LumenSection, read_values, sections};
 use lumenmesh::geometry::Pose;
@@ -64,8 +64,7 @@ impl Case {
 
     fn lumen(&self, recording: &Recording, settings: &Settings) -> (Vec<LumenSection>, Vec<f64>) {
         let engine = CpuEngine::<f32>::new();
-        let mesh =
-            Reconstruction::new(recording, settings, &engine, false, &|_| ()).unwrap().vessel.surface();
+        let mesh = CylinderReconstruction::of(recording, settings, &engine).unwrap().vessel.surface();
         let topology = mesh.topology();
         assert!(topology.is_oriented_manifold() && topology.boundary_loops == 2, "{topology:?}");
         let sections = sections(&mesh, recording, Pose::IDENTITY).unwrap();
@@ -126,7 +125,7 @@ fn the_contours_themselves_have_the_areas_measured_by_hand() {
 fn the_published_settings_do_not_hold_a_slit() {
     // The negative control of the comparison, and the reason for settings of its own.
     for case in cases() {
-        let published = Settings { every: 1, ..Settings::default() };
+        let published = Settings::default().with_every(1);
         let (_, differences) = case.lumen(&case.upright(), &published);
         println!("{}: median {:.1} %", case.name, median(&differences));
         assert!(median(&differences) > 10.0);

@@ -4,7 +4,7 @@ use crate::support::{lumenmesh, shared};
 use lumenmesh::cylinders::engine;
 use lumenmesh::evaluate::{Coverage, Truth, evaluate, evaluate_covered};
 use lumenmesh::geometry::Pose;
-use lumenmesh::reconstruction::Lumen;
+use lumenmesh::reconstruction::Reconstructor;
 use lumenmesh::recording::Recording;
 use lumenmesh::report::{Subject, experiments_page, html, tables};
 use lumenmesh::settings::{Method, Settings};
@@ -164,15 +164,14 @@ fn steady(vessel: &str) -> Simulation {
 fn a_reconstruction_fills_a_page_with_and_without_its_truth() {
     let simulation = steady("stenosis");
     let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
-    let cylinders = Settings { method: Method::Cylinders, ..Settings::default() };
+    let cylinders = Settings::default().with_method(Method::Cylinders);
     for settings in [&cylinders, &Settings::default()] {
-        let lumen = Lumen::of(&simulation.recording, settings, true, &|_| ()).unwrap();
-        let evaluation = evaluate(&lumen.surface(settings), &truth).unwrap();
+        let lumen = Reconstructor::new(settings.clone()).history(true).run(&simulation.recording).unwrap();
+        let evaluation = evaluate(&lumen.surface(), &truth).unwrap();
         let page = |measured| {
             html(&Subject {
                 title: "A <stenosis>",
                 recording: &simulation.recording,
-                settings,
                 lumen: &lumen,
                 measured,
                 command: "lumenmesh report",
@@ -190,12 +189,11 @@ fn a_reconstruction_fills_a_page_with_and_without_its_truth() {
         }
         assert!(with.contains("<h2>Error</h2>") && without.contains("<h2>Residual</h2>"));
     }
-    let settings = Settings { iterations: 0, ..cylinders };
+    let settings = cylinders.with_iterations(0);
     let unfitted = html(&Subject {
         title: "Cylinders as they are",
         recording: &simulation.recording,
-        settings: &settings,
-        lumen: &Lumen::of(&simulation.recording, &settings, false, &|_| ()).unwrap(),
+        lumen: &Reconstructor::new(settings.clone()).run(&simulation.recording).unwrap(),
         measured: None,
         command: "lumenmesh report --method cylinders --iterations 0",
     });
@@ -290,14 +288,11 @@ fn results_of_other_inputs_are_not_mixed_in() {
     let mut other = recording.clone();
     other.frames[7].contour_mm[3].x += 1e-9;
     assert!(refused(&other, &truth, &settings));
-    assert!(refused(&recording, &truth, &Settings { every: 7, ..settings.clone() }));
+    assert!(refused(&recording, &truth, &settings.clone().with_every(7)));
     let mut wall = truth.surface().clone();
     wall.nodes_mm[5].z += 1e-9;
     assert!(refused(&recording, &Truth::new(wall).unwrap(), &settings));
-    assert!(
-        !refused(&recording, &truth, &Settings { nodes: 99, ..settings.clone() }),
-        "the grid's to choose"
-    );
+    assert!(!refused(&recording, &truth, &settings.clone().with_nodes(99)), "the grid's to choose");
     std::fs::write(&path, "inputs,nodes\n1,2\n").unwrap();
     assert!(study.read(&path).unwrap_err().to_string().contains("study.csv: rows"));
     assert!(study.read(Path::new("study.txt")).is_err());

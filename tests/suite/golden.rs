@@ -67,7 +67,7 @@ fn cases() -> impl Iterator<Item = Case> {
     .filter_map(|(golden, recording, nodes, levels, statistic)| {
         let golden = read_golden(&crate::support::shared(&format!("golden/{golden}.csv"))?);
         let recording = crate::support::shared(&format!("recordings/{recording}.mat"))?;
-        let settings = Settings { nodes, levels, statistic, ..Settings::default() };
+        let settings = Settings::default().with_nodes(nodes).with_levels(levels).with_statistic(statistic);
         let recording = Recording::read(&recording).unwrap();
         let track = Track::of(&recording, &settings).unwrap();
         let mut frames: Vec<usize> = golden.keys().map(|k| k.0).collect();

@@ -2,22 +2,22 @@
 
 use crate::support;
 use glam::{DVec2, DVec3};
-use lumenmesh::cylinders::Reconstruction;
+use lumenmesh::cylinders::CylinderReconstruction;
 use lumenmesh::cylinders::engine;
 use lumenmesh::evaluate::{Locator, Truth, evaluate};
 use lumenmesh::reconstruction::{Live, Work};
 use lumenmesh::recording::{Frame, Recording};
-use lumenmesh::settings::{Method, Settings, Sweep as SweepSettings};
+use lumenmesh::settings::{Method, Settings, SweepSettings};
 use lumenmesh::simulate::{self, Insertion, Move, Phantom, Shape, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
 
 fn cylinders() -> Settings {
-    Settings { method: Method::Cylinders, ..Settings::default() }
+    Settings::default().with_method(Method::Cylinders)
 }
 
 fn sweep() -> Settings {
-    Settings { method: Method::Sweep, ..Settings::default() }
+    Settings::default().with_method(Method::Sweep)
 }
 
 fn simulated(shape: &str, insertion: Insertion, seed: u64) -> Simulation {
@@ -82,7 +82,7 @@ fn live_cylinders_are_those_of_the_batch_to_the_last_bit() {
     }
     for recording in recordings {
         let engine = engine(&settings).unwrap();
-        let batch = Reconstruction::new(&recording, &settings, &*engine, false, &|_| ()).unwrap();
+        let batch = CylinderReconstruction::of(&recording, &settings, &*engine).unwrap();
         let live = pushed(&recording.frames, &settings);
         assert_eq!(bytes(&live.surface()), bytes(&batch.vessel.surface()));
         let other = pushed(&recording.frames[..recording.frames.len() - 20], &settings);
@@ -245,8 +245,8 @@ fn with_a_half_life_the_wall_follows_the_newer_pass() {
     let mut moved = second.vessel.surface().clone();
     moved.nodes_mm.iter_mut().for_each(|p| *p += shift);
     let with = |half_life_s| {
-        let sweep = SweepSettings { half_life_s, ..SweepSettings::default() };
-        Settings { method: Method::Sweep, sweep, ..Settings::default() }
+        let sweep = SweepSettings::default().with_half_life_s(half_life_s);
+        Settings::default().with_method(Method::Sweep).with_sweep(sweep)
     };
     let remember = with(None);
     let forget = with(Some(duration_s / 8.0));
@@ -261,12 +261,12 @@ fn with_a_half_life_the_wall_follows_the_newer_pass() {
 
 #[test]
 fn what_is_done_to_whole_recordings_only_is_refused() {
-    let sweep_with = |sweep| Settings { method: Method::Sweep, sweep, ..Settings::default() };
+    let sweep_with = |sweep| Settings::default().with_method(Method::Sweep).with_sweep(sweep);
     let plain = SweepSettings::default();
     for (settings, name) in [
-        (sweep_with(SweepSettings { correct_poses: true, ..plain }), "sweep.correct_poses"),
-        (sweep_with(SweepSettings { estimate_offset: true, ..plain }), "sweep.estimate_offset"),
-        (Settings { merge: lumenmesh::settings::Merge::Blend, ..cylinders() }, "merge"),
+        (sweep_with(plain.with_correct_poses(true)), "sweep.correct_poses"),
+        (sweep_with(plain.with_estimate_offset(true)), "sweep.estimate_offset"),
+        (cylinders().with_merge(lumenmesh::settings::Merge::Blend), "merge"),
     ] {
         let refused = Live::new(&settings).err().unwrap().to_string();
         assert!(refused.starts_with(&format!("setting {name}: found ")), "{refused}");

@@ -14,6 +14,7 @@ mod evaluate_command;
 #[cfg(feature = "cli")]
 mod experiments;
 mod golden;
+mod layers;
 mod live;
 mod method;
 #[cfg(feature = "cli")]

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec2, DVec3};
 use lumenmesh::cylinders::estimate::LocalEstimate;
 use lumenmesh::cylinders::merge::Vessel;
 use lumenmesh::cylinders::{CpuEngine, Engine, FittedCylinder, Job, Track, merged_frames};
-use lumenmesh::cylinders::{Reconstruction, write_cylinders};
+use lumenmesh::cylinders::{CylinderReconstruction, write_cylinders};
 use lumenmesh::evaluate::Truth;
 use lumenmesh::geometry::Pose;
 use lumenmesh::low_level::cylinders::passes::{Face, Gate, Section, TubeTransform, distance, project};
@@ -44,7 +44,7 @@ fn seen_on_both_sides(wall: impl Fn(f64) -> f64) -> Recording {
 
 #[test]
 fn a_primitive_of_10_mm_lies_on_a_cylinder_of_30_mm_after_one_iteration() {
-    let settings = Settings { gate: [0.0, 4.0], ..Settings::default() };
+    let settings = Settings::default().with_gate([0.0, 4.0]);
     let recording = seen_on_both_sides(|_| 30.0);
     let track = Track::of(&recording, &settings).unwrap();
     let fitted = &fit::<f64>(&track, &[recording.frames.len() - 1], &settings)[0].tube;
@@ -57,7 +57,7 @@ fn a_primitive_of_10_mm_lies_on_a_cylinder_of_30_mm_after_one_iteration() {
 #[test]
 fn on_a_frustum_the_error_falls_and_stays_largest_at_the_ends() {
     let wall = |z: f64| 10.0 + 0.4 * z;
-    let settings = Settings { iterations: 10, ..Settings::default() };
+    let settings = Settings::default().with_iterations(10);
     let recording = seen_on_both_sides(wall);
     let track = Track::of(&recording, &settings).unwrap();
     let fitted = &fit::<f64>(&track, &[recording.frames.len() - 1], &settings)[0].tube;
@@ -219,7 +219,7 @@ fn does_not_depend_on_the_order_of_points<T: Scalar>(recording: &Recording) {
         (Outliers::Deviation, Statistic::Median),
         (Outliers::None, Statistic::Mean),
     ] {
-        let settings = Settings { outliers, statistic, ..Settings::default() };
+        let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
         for frame in [99, 444] {
             let of = |recording: &Recording| {
                 fit::<T>(&Track::of(recording, &settings).unwrap(), &[frame], &settings).remove(0).tube
@@ -251,8 +251,9 @@ fn the_number_of_threads_changes_no_byte() {
     for engine in [&CpuEngine::<f32>::new() as &dyn Engine, &CpuEngine::<f64>::new()] {
         let bytes = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let done =
-                pool.install(|| Reconstruction::new(&recording, &settings, engine, true, &|_| ())).unwrap();
+            let done = pool
+                .install(|| CylinderReconstruction::run(&recording, &settings, engine, true, &|_, _| ()))
+                .unwrap();
             let (mesh, cylinders) = (folder.path().join("mesh.vtp"), folder.path().join("cylinders.csv"));
             done.vessel.surface().write(&mesh).unwrap();
             write_cylinders(&done.cylinders, &cylinders).unwrap();
@@ -340,7 +341,7 @@ fn points_of<T: Scalar>(section: &Section<T>) -> Vec<[u64; 3]> {
 fn leaving_out_far_frames_loses_no_point() {
     for name in ["adult_aorta_clean", "adult_aorta_noisy"] {
         let Some(recording) = read(name) else { return };
-        let wide = Settings { gate: [0.0, 3.0], height_mm: 14.0, every: 25, ..Settings::default() };
+        let wide = Settings::default().with_gate([0.0, 3.0]).with_height_mm(14.0).with_every(25);
         for settings in [Settings::default(), wide] {
             no_point_is_lost::<f32>(&recording, &settings);
             no_point_is_lost::<f64>(&recording, &settings);
@@ -363,7 +364,7 @@ fn leaving_out_far_frames_loses_no_point_of_a_disorderly_recording() {
         Frame { world_from_sensor: Pose::from_quaternion(place, turn), time_s: None, contour_mm, cylinder }
     };
     let recording = Recording { frames: (0..1500).map(|_| frame()).collect() };
-    let settings = Settings { gate: [0.0, 2.5], every: 100, ..Settings::default() };
+    let settings = Settings::default().with_gate([0.0, 2.5]).with_every(100);
     no_point_is_lost::<f32>(&recording, &settings);
     no_point_is_lost::<f64>(&recording, &settings);
 }
@@ -437,8 +438,7 @@ fn a_stitched_vessel_is_a_tube_with_two_open_ends() {
     for name in ["adult_aorta_clean", "adult_aorta_noisy"] {
         let Some(recording) = read(name) else { return };
         let settings = Settings::default();
-        let done =
-            Reconstruction::new(&recording, &settings, &CpuEngine::<f32>::new(), false, &|_| ()).unwrap();
+        let done = CylinderReconstruction::of(&recording, &settings, &CpuEngine::<f32>::new()).unwrap();
         let surface = done.vessel.surface();
         let topology = surface.topology();
         assert!(topology.is_oriented_manifold(), "{topology:?}");

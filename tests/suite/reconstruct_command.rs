@@ -180,7 +180,7 @@ fn the_report_is_there_for_people_and_for_machines() {
     assert_eq!(json["mean_travel_mm"].as_array().unwrap().len(), 3);
     assert!(["track", "fit", "merge"].iter().all(|stage| json["seconds"][stage].as_f64().unwrap() >= 0.0));
     let settings: Settings = serde_json::from_value(json["settings"].clone()).unwrap();
-    assert_eq!(settings, Settings { method: Method::Cylinders, ..Settings::default() });
+    assert_eq!(settings, Settings::default().with_method(Method::Cylinders));
     assert_eq!(names(folder.path()), ["mesh.ply", "mesh.vtp", "rec.mat"]);
 }
 

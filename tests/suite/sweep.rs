@@ -5,7 +5,7 @@ use glam::{DMat3, DVec2, DVec3};
 use lumenmesh::evaluate::{Locator, Truth};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Frame, Recording};
-use lumenmesh::settings::{Settings, Sweep as SweepSettings};
+use lumenmesh::settings::{Settings, SweepSettings};
 use lumenmesh::simulate::{self, ContourNoise, Insertion, Move, Noise, Phantom, Shape, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
@@ -251,11 +251,9 @@ fn what_covers_no_vessel_is_refused() {
         let message = Sweep::of(&recording, &Settings::default()).unwrap_err().to_string();
         assert!(message.contains("centreline"), "{message}");
     }
-    for sweep in [
-        SweepSettings { nodes: Some(2), ..SweepSettings::default() },
-        SweepSettings { roughness: 0.0, ..SweepSettings::default() },
-    ] {
-        let settings = Settings { sweep, ..Settings::default() };
+    for sweep in [SweepSettings::default().with_nodes(Some(2)), SweepSettings::default().with_roughness(0.0)]
+    {
+        let settings = Settings::default().with_sweep(sweep);
         let message = Sweep::of(&full, &settings).unwrap_err().to_string();
         assert!(message.starts_with("setting sweep."), "{message}");
     }

@@ -2,7 +2,7 @@
 
 use lumenmesh::evaluate::Locator;
 use lumenmesh::recording::Recording;
-use lumenmesh::settings::{Settings, Sweep as SweepSettings};
+use lumenmesh::settings::{Settings, SweepSettings};
 use lumenmesh::simulate::{self, Insertion, Noise, Phantom, Shape, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::{Sweep, Tracker};
@@ -22,19 +22,16 @@ fn late(latency_s: f64) -> Noise {
     Noise { seed: 7, latency_s, ..Noise::default() }
 }
 
-const PLAIN: SweepSettings = SweepSettings {
-    nodes: None,
-    roughness: 0.125,
-    keep_unsupported: false,
-    correct_poses: false,
-    estimate_offset: false,
-    half_life_s: None,
-};
-const POSES: SweepSettings = SweepSettings { correct_poses: true, ..PLAIN };
-const OFFSET: SweepSettings = SweepSettings { estimate_offset: true, ..PLAIN };
+fn poses() -> SweepSettings {
+    SweepSettings::default().with_correct_poses(true)
+}
+
+fn offset() -> SweepSettings {
+    SweepSettings::default().with_estimate_offset(true)
+}
 
 fn swept(recording: &Recording, sweep: SweepSettings) -> Sweep {
-    Sweep::of(recording, &Settings { sweep, ..Settings::default() }).unwrap()
+    Sweep::of(recording, &Settings::default().with_sweep(sweep)).unwrap()
 }
 
 /// Mean distance of the nodes to the vessel's wall, mm, and what was found of the tracker.
@@ -52,9 +49,9 @@ fn mean_error_mm(surface: &Surface, wall: &Surface) -> f64 {
 
 #[test]
 fn without_a_wish_nothing_is_corrected() {
-    assert_eq!(SweepSettings::default(), PLAIN);
+    assert_eq!(SweepSettings::default(), SweepSettings::default());
     let simulation = simulated("cylinder", Noise::default());
-    assert_eq!(reconstructed(&simulation, PLAIN).1, None);
+    assert_eq!(reconstructed(&simulation, SweepSettings::default()).1, None);
 }
 
 #[test]
@@ -62,8 +59,8 @@ fn a_noisy_tracker_is_corrected() {
     // A quarter to a third less was measured, on these vessels and on anatomical ones.
     for (shape, seed) in [("arch", 7), ("stenosis", 8)] {
         let simulation = simulated(shape, noisy_tracker(seed));
-        let (plain, _) = reconstructed(&simulation, PLAIN);
-        let (corrected, tracker) = reconstructed(&simulation, POSES);
+        let (plain, _) = reconstructed(&simulation, SweepSettings::default());
+        let (corrected, tracker) = reconstructed(&simulation, poses());
         assert!(corrected < 0.85 * plain, "{shape}: {plain} mm to {corrected} mm");
         let tracker = tracker.unwrap();
         assert!((0.8..1.1).contains(&tracker.noise_mm), "{tracker:?}");
@@ -76,8 +73,8 @@ fn a_noisy_tracker_is_corrected() {
 fn a_perfect_tracker_is_left_alone() {
     let noise = Noise { position_sd_mm: 0.0, rotation_sd_deg: 0.0, ..Noise::default() };
     let simulation = simulated("arch", noise);
-    let (plain, _) = reconstructed(&simulation, PLAIN);
-    let (corrected, tracker) = reconstructed(&simulation, POSES);
+    let (plain, _) = reconstructed(&simulation, SweepSettings::default());
+    let (corrected, tracker) = reconstructed(&simulation, poses());
     let tracker = tracker.unwrap();
     // A contour's centre is uncertain by 1 mm √(2/90) = 0.15 mm an axis; that must not be taken for the tracker's.
     assert!(tracker.shift_mm < 0.05 && tracker.turn_deg < 0.05, "{tracker:?}");
@@ -88,8 +85,8 @@ fn a_perfect_tracker_is_left_alone() {
 fn an_offset_in_time_is_found_and_corrected() {
     for latency_s in [0.2, -0.1] {
         let simulation = simulated("stenosis", late(latency_s));
-        let (plain, _) = reconstructed(&simulation, PLAIN);
-        let (corrected, tracker) = reconstructed(&simulation, OFFSET);
+        let (plain, _) = reconstructed(&simulation, SweepSettings::default());
+        let (corrected, tracker) = reconstructed(&simulation, offset());
         let tracker = tracker.unwrap();
         let (offset_s, error_s) = (tracker.offset_s.unwrap(), tracker.offset_standard_error_s.unwrap());
         assert!((offset_s - latency_s).abs() < 0.02, "{tracker:?}");
@@ -104,8 +101,8 @@ fn an_offset_in_time_is_found_and_corrected() {
 #[test]
 fn no_offset_is_made_up() {
     let simulation = simulated("arch", late(0.0));
-    let plain = swept(&simulation.recording, PLAIN);
-    let asked = swept(&simulation.recording, OFFSET);
+    let plain = swept(&simulation.recording, SweepSettings::default());
+    let asked = swept(&simulation.recording, offset());
     let tracker = asked.report.tracker.unwrap();
     assert!(!tracker.offset_corrected && tracker.offset_s.unwrap().abs() < 0.02, "{tracker:?}");
     // What is not significant changes no bit.
@@ -122,7 +119,7 @@ fn a_steady_pullback_shows_no_offset() {
     };
     let vessel = Phantom::from("aorta".parse::<Shape>().unwrap()).vessel().unwrap();
     let simulation = Simulation::run(vessel, &settings).unwrap();
-    let tracker = reconstructed(&simulation, OFFSET).1.unwrap();
+    let tracker = reconstructed(&simulation, offset()).1.unwrap();
     assert!(!tracker.offset_corrected, "{tracker:?}");
 }
 
@@ -130,7 +127,7 @@ fn a_steady_pullback_shows_no_offset() {
 fn an_offset_needs_times() {
     let simulation = simulated("cylinder", Noise::default());
     let mut recording = simulation.recording;
-    let settings = Settings { sweep: OFFSET, ..Settings::default() };
+    let settings = Settings::default().with_sweep(offset());
     recording.frames[5].time_s = recording.frames[4].time_s;
     let message = Sweep::of(&recording, &settings).unwrap_err().to_string();
     assert!(message.contains('5') && message.contains("times that increase"), "{message}");
@@ -138,13 +135,13 @@ fn an_offset_needs_times() {
     let message = Sweep::of(&recording, &settings).unwrap_err().to_string();
     assert!(message.contains("time") && message.contains("none"), "{message}");
     // Errors of the poses need none.
-    assert!(swept(&recording, POSES).report.tracker.is_some());
+    assert!(swept(&recording, poses()).report.tracker.is_some());
 }
 
 #[test]
 fn the_number_of_threads_changes_nothing() {
     let recording = simulated("cylinder", noisy_tracker(3)).recording;
-    let both = SweepSettings { estimate_offset: true, ..POSES };
+    let both = poses().with_estimate_offset(true);
     let radii = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| swept(&recording, both).radii_mm)
@@ -168,8 +165,8 @@ fn odd_recordings_give_finite_walls() {
         lumenmesh::recording::Frame { time_s, ..first.clone() }
     }));
     for recording in [few(40), few(200), blind, far, still] {
-        let both = SweepSettings { estimate_offset: true, ..POSES };
-        let settings = Settings { sweep: both, ..Settings::default() };
+        let both = poses().with_estimate_offset(true);
+        let settings = Settings::default().with_sweep(both);
         if let Ok(sweep) = Sweep::of(&recording, &settings) {
             sweep.surface(true).check().unwrap();
             assert!(sweep.report.tracker.unwrap().shift_mm.is_finite());
@@ -205,10 +202,10 @@ fn the_command_says_what_was_corrected() {
 #[test]
 fn echoes_keep_their_age_when_poses_are_corrected() {
     let recording = simulated("arch", Noise::default()).recording;
-    let aged = SweepSettings { half_life_s: Some(0.5), ..POSES };
+    let aged = poses().with_half_life_s(Some(0.5));
     // Three years are no time; in half a second the catheter hardly moves on.
-    let young = SweepSettings { half_life_s: Some(1e8), ..POSES };
-    let [aged, young, plain] = [aged, young, POSES].map(|settings| swept(&recording, settings).radii_mm);
+    let young = poses().with_half_life_s(Some(1e8));
+    let [aged, young, plain] = [aged, young, poses()].map(|settings| swept(&recording, settings).radii_mm);
     let apart =
         |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.len() as f64;
     assert!(apart(&young, &plain) < 1e-3, "{}", apart(&young, &plain));

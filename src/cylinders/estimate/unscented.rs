@@ -9,7 +9,7 @@ use crate::recording::{CylinderModel, Frame};
 use glam::DVec3;
 
 /// A cylinder from an unscented Kalman filter that runs along the vessel, after Farola Barata et al., *IEEE Robotics
-/// and Automation Letters* 2021; see `docs/methods.md`.
+/// and Automation Letters* 2021; see `docs/method.md`, "Local cylinder estimate".
 ///
 /// The state is the tube that [`WindowFit`](super::WindowFit) fits, in the world. It drifts with every millimetre that
 /// the probe moves on; the distances of a frame's wall points from the tube are the measurement, and a shift of

@@ -9,7 +9,8 @@ use crate::recording::{CylinderModel, Frame};
 use glam::DVec3;
 use std::collections::VecDeque;
 
-/// A cylinder from a robust fit to the wall that the last frames showed nearby; see `docs/methods.md`.
+/// A cylinder from a robust fit to the wall that the last frames showed nearby; see `docs/method.md`,
+/// "Local cylinder estimate".
 ///
 /// The wall points within [`WINDOW_RADII`](Self::WINDOW_RADII) along the vessel, seen on the way there or back, are
 /// fitted by a tube that bends, tapers and may be a little out of round; the cylinder is what touches its axis beside

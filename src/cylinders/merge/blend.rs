@@ -4,7 +4,7 @@ use crate::geometry::{Pose, transported};
 use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
 use std::f64::consts::TAU;
 
-/// One vessel from successive cylinders, the mean of those that overlap (`docs/methods.md`).
+/// One vessel from successive cylinders, the mean of those that overlap (`docs/method.md`, "Merging").
 ///
 /// Rings are laid along the origins of the cylinders, a level's height apart. From a ring's middle a ray goes out to
 /// each of its nodes; where it meets the wall of a cylinder is that cylinder's say in where the node lies, weighed by

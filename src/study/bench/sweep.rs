@@ -4,7 +4,7 @@ use super::{Parity, RADIUS_MM, Times};
 use crate::Result;
 use crate::geometry::Pose;
 use crate::recording::{Frame, Recording};
-use crate::settings::{Backend, Settings, Sweep as SweepSettings};
+use crate::settings::{Backend, Settings, SweepSettings};
 use crate::sweep::Sweep;
 use glam::{DQuat, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};

@@ -11,7 +11,7 @@ pub use primitive::{Convergence, Iteration, frustum, larger_cylinder};
 pub use series::{Merged, Series, Spread};
 
 use crate::Result;
-use crate::cylinders::fit::{engine, merged_frames};
+use crate::cylinders::fit::engine;
 use crate::evaluate::{Coverage, Truth};
 use crate::geometry::Pose;
 use crate::recording::Recording;
@@ -178,9 +178,7 @@ pub fn run(
     let engine = engine(&plan.settings)?;
     let measure = |stage, recording: &Recording, coverage: &Coverage| -> Result<(Series, Surface, f64)> {
         let start = Instant::now();
-        let all = merged_frames(recording.frames.len(), &plan.settings).len();
-        let done = std::sync::atomic::AtomicUsize::new(0);
-        let progress = |n| tell(stage, done.fetch_add(n, std::sync::atomic::Ordering::Relaxed) + n, all);
+        let progress = |done, all| tell(stage, done, all);
         let (series, mesh) =
             Series::measure(recording, (&truth, coverage), &plan.settings, &*engine, &progress)?;
         Ok((series, mesh, start.elapsed().as_secs_f64()))

@@ -3,7 +3,7 @@
 use crate::Result;
 use crate::cylinders::fit::{Engine, FittedCylinder};
 use crate::cylinders::merge::Vessel;
-use crate::cylinders::{PointCounts, Reconstruction};
+use crate::cylinders::{CylinderReconstruction, PointCounts};
 use crate::evaluate::{Coverage, Evaluation, Locator, Truth, evaluate_covered};
 use crate::recording::Recording;
 use crate::settings::Settings;
@@ -103,15 +103,15 @@ impl Series {
     /// `signed_error_mm`.
     ///
     /// # Errors
-    /// As [`Reconstruction::new`] and [`evaluate_covered`].
+    /// As [`CylinderReconstruction::run`] and [`evaluate_covered`].
     pub fn measure(
         recording: &Recording,
         (truth, coverage): (&Truth, &Coverage),
         settings: &Settings,
         engine: &dyn Engine,
-        progress: &(dyn Fn(usize) + Sync),
+        progress: &(dyn Fn(usize, usize) + Sync),
     ) -> Result<(Self, Surface)> {
-        let reconstruction = Reconstruction::new(recording, settings, engine, true, progress)?;
+        let reconstruction = CylinderReconstruction::run(recording, settings, engine, true, progress)?;
         let cylinders = &reconstruction.cylinders;
         let node_errors: Vec<Vec<Vec<f64>>> = (0..=settings.iterations as usize)
             .map(|iteration| node_errors_mm(cylinders, iteration, truth.locator()))

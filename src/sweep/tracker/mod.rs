@@ -7,11 +7,12 @@ mod joint;
 
 use crate::geometry::Pose;
 use crate::recording::Frame;
+use crate::settings::SweepSettings;
 use crate::sweep::prepare::axis::Axis;
 use crate::sweep::wall::echo::Echo;
 use crate::sweep::wall::grid::{Grid, Solver};
 use crate::sweep::wall::{self, Wall};
-use crate::{Error, Result, settings};
+use crate::{Error, Result};
 use glam::{DMat3, DQuat, DVec3};
 use joint::{Eased, Joint, Levels, Motion, Offset, Twist, corrected, split};
 use serde::Serialize;
@@ -70,7 +71,7 @@ impl Tracker {
     /// Estimates the errors that `settings` ask for, and moves echoes and wall to where they are without them.
     pub(in crate::sweep) fn correct(
         scene: &Scene,
-        settings: &settings::Sweep,
+        settings: &SweepSettings,
         echoes: &mut Vec<Echo>,
         wall: &mut Wall,
     ) -> Result<Self> {
