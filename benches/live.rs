@@ -81,7 +81,7 @@ fn rest(frames: usize) {
         vec![Move::Advance { distance_mm: 30.0 }, Move::Bend { angle_deg: 20.0 }, Move::Rest { duration_s }];
     let insertion = Insertion { moves, repeat: false, ..Insertion::default() };
     let vessel = Phantom::from("cylinder".parse::<Shape>().unwrap()).vessel().unwrap();
-    let settings = simulate::Settings { insertion, ..simulate::Settings::default() };
+    let settings = simulate::SimulationSettings { insertion, ..simulate::SimulationSettings::default() };
     let simulation = Simulation::run(vessel, &settings).unwrap();
     for method in [Method::Cylinders, Method::Sweep] {
         let settings = Settings::default().with_method(method);

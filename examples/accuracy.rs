@@ -18,7 +18,9 @@ use lumenmesh::evaluate::{Distances, Locator, Truth, evaluate};
 use lumenmesh::output::write_atomically;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Backend, Merge, Settings};
-use lumenmesh::simulate::{self, Centreline, Insertion, Move, Noise, Phantom, Shape, Simulation, Vessel};
+use lumenmesh::simulate::{
+    self, Centreline, Insertion, Move, Noise, Phantom, Shape, SimulatedVessel, Simulation,
+};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
 use std::path::{Path, PathBuf};
@@ -190,7 +192,7 @@ fn input(source: &Source) -> Result<Input> {
                 Ok(shape) => Phantom::from(shape).vessel()?,
                 Err(_) => {
                     let centreline = shared(&format!("data/{vessel}_centreline.csv"));
-                    Vessel::new(Surface::read(&stl)?, Centreline::read_branches(&centreline)?)?
+                    SimulatedVessel::new(Surface::read(&stl)?, Centreline::read_branches(&centreline)?)?
                 }
             };
             let noise = match *noise_mm {
@@ -199,7 +201,8 @@ fn input(source: &Source) -> Result<Input> {
                     Noise { contour_sd_mm, position_sd_mm, seed: *seed, ..Noise::default() }
                 }
             };
-            let settings = simulate::Settings { insertion: way.insertion(), noise, ..Default::default() };
+            let settings =
+                simulate::SimulationSettings { insertion: way.insertion(), noise, ..Default::default() };
             let simulation = Simulation::run(vessel, &settings)?;
             Ok(Input {
                 recording: simulation.recording,

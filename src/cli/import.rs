@@ -1,7 +1,7 @@
 use crate::Result;
 use crate::cylinders::estimate::{CylinderEstimator, Upright};
 use crate::geometry::Pose;
-use crate::recording::{Centreline, Pullback, Summary};
+use crate::recording::{Pullback, PullbackPath, Summary};
 use glam::DVec2;
 use std::path::PathBuf;
 
@@ -63,7 +63,7 @@ impl Arguments {
 
 impl PullbackArguments {
     fn run(self) -> Result<()> {
-        let centreline = self.centreline.as_deref().map(Centreline::read).transpose()?;
+        let centreline = self.centreline.as_deref().map(PullbackPath::read).transpose()?;
         let mut pullback = Pullback::read(&self.contours, self.centre, centreline.as_ref())?;
         if self.upright {
             let mut upright = Upright { sensor_from_probe: Pose::IDENTITY };

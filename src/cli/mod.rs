@@ -91,7 +91,7 @@ pub fn main() -> ExitCode {
 /// Prints a value as JSON on stdout.
 fn print_json(value: &impl serde::Serialize) -> Result<()> {
     let text = serde_json::to_string_pretty(value)
-        .map_err(|e| Error::Write { path: "stdout".into(), source: e.into() })?;
+        .map_err(|e| Error::Output { target: "stdout", source: e.into() })?;
     println!("{text}");
     Ok(())
 }
@@ -103,7 +103,7 @@ fn say(text: std::fmt::Arguments) {
         Ok(()) => {}
         Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
         Err(source) => {
-            eprintln!("lumenmesh: {}", Error::Write { path: "stdout".into(), source });
+            eprintln!("lumenmesh: {}", Error::Output { target: "stdout", source });
             std::process::exit(1);
         }
     }

@@ -1,7 +1,7 @@
 use super::vessel::VesselArguments;
 use super::{print_json, progress};
 use crate::simulate::{
-    Centreline, Insertion, Noise, Phantom, Probe, ReducedBend, Settings, Simulation, TrackerNoise,
+    Centreline, Insertion, Noise, Phantom, Probe, ReducedBend, Simulation, SimulationSettings, TrackerNoise,
 };
 use crate::surface;
 use crate::{Error, Result};
@@ -58,7 +58,7 @@ pub(super) struct Arguments {
 
 /// The commonest settings as flags; a settings file has them all.
 #[derive(clap::Args)]
-#[command(next_help_heading = "Settings")]
+#[command(next_help_heading = "SimulationSettings")]
 struct SettingsArguments {
     /// Read settings from a TOML file; flags override it
     #[arg(long, value_name = "FILE")]
@@ -155,7 +155,7 @@ struct Summary<'a> {
     repairs: &'a [String],
     reduced_bends: &'a [ReducedBend],
     tracker: &'a Option<TrackerNoise>,
-    settings: &'a Settings,
+    settings: &'a SimulationSettings,
     truth: &'a Option<PathBuf>,
     truth_centreline: &'a Option<PathBuf>,
     truth_recording: &'a Option<PathBuf>,
@@ -168,7 +168,7 @@ impl Arguments {
         }
         let config = self.settings.config()?;
         let (name, vessel) = self.vessel.vessel(config.vessel)?;
-        let mut settings = Settings {
+        let mut settings = SimulationSettings {
             insertion: config.insertion,
             probe: config.probe,
             noise: config.noise,
@@ -239,13 +239,13 @@ impl SettingsArguments {
     }
 
     /// Puts the flags on top of the settings; says what was measured of a tracker, if anything was.
-    fn override_settings(&self, settings: &mut Settings) -> Result<Option<TrackerNoise>> {
+    fn override_settings(&self, settings: &mut SimulationSettings) -> Result<Option<TrackerNoise>> {
         fn set<T: Copy>(field: &mut T, flag: Option<T>) {
             if let Some(value) = flag {
                 *field = value;
             }
         }
-        let Settings { insertion, probe, noise, cylinders } = settings;
+        let SimulationSettings { insertion, probe, noise, cylinders } = settings;
         set(&mut insertion.branch, self.branch);
         if self.steady {
             insertion.moves = Insertion::steady().moves;

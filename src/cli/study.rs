@@ -5,7 +5,7 @@ use crate::output::write_atomically;
 use crate::recording::Recording;
 use crate::report::{Table, study_plot};
 use crate::settings::{Backend, Settings};
-use crate::study::resolution::{Grid, Row, Study, best_within, pareto_front, write};
+use crate::study::resolution::{Study, StudyGrid, StudyRow, best_within, pareto_front, write};
 use crate::surface::Surface;
 use crate::{Error, Result};
 use std::path::PathBuf;
@@ -69,7 +69,7 @@ impl Arguments {
             let ending = crate::output::ending(path);
             return Err(Error::UnknownEnding { path: path.into(), ending, expected: ".svg" });
         }
-        let grid = Grid {
+        let grid = StudyGrid {
             nodes: self.nodes.clone(),
             levels: self.levels.clone(),
             iterations: self.iterations.clone(),
@@ -86,7 +86,7 @@ impl Arguments {
             Some(path) => study.read(path)?,
             None => Vec::new(),
         };
-        let known = |rows: &[Row]| cells.iter().filter(|&&c| rows.iter().any(|r| r.cell() == c)).count();
+        let known = |rows: &[StudyRow]| cells.iter().filter(|&&c| rows.iter().any(|r| r.cell() == c)).count();
         let resumed = known(&rows);
 
         let engine = engine(&settings)?;
@@ -138,7 +138,7 @@ impl Arguments {
     }
 }
 
-fn table(rows: &[Row], front: &[usize]) -> Table {
+fn table(rows: &[StudyRow], front: &[usize]) -> Table {
     let cells = rows.iter().enumerate().map(|(i, row)| {
         vec![
             format!("{} × {}, {}", row.nodes, row.levels, row.iterations),

@@ -3,7 +3,7 @@
 use super::Track;
 use super::estimate::LocalEstimate;
 use super::fit::{Engine, Job, engine};
-use super::merge::Vessel;
+use super::merge::MergedVessel;
 use crate::recording::Frame;
 use crate::settings::{Merge, Settings};
 use crate::{Error, Result};
@@ -20,7 +20,7 @@ pub(crate) struct LiveCylinders {
     settings: Settings,
     engine: Box<dyn Engine>,
     track: Track,
-    pub vessel: Vessel,
+    pub vessel: MergedVessel,
 }
 
 /// What a frame did to the vessel.
@@ -49,7 +49,7 @@ impl LiveCylinders {
             settings: settings.clone(),
             engine: engine(settings)?,
             track: Track::new(sensor_from_probe, Box::new(estimator)),
-            vessel: Vessel::default(),
+            vessel: MergedVessel::default(),
         })
     }
 

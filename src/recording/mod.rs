@@ -8,8 +8,8 @@ mod summary;
 pub use cylinder::CylinderModel;
 pub(crate) use cylinder::MOST_RADIUS_MM;
 pub(crate) use formats::Table;
-pub use pullback::{Centreline, Pullback};
-pub use summary::{Defects, Example, Spread, Summary};
+pub use pullback::{Pullback, PullbackPath};
+pub use summary::{Defects, Example, MinMedianMax, Summary};
 
 use crate::geometry::{Pose, polygon};
 use crate::output::ending;

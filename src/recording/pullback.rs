@@ -38,7 +38,7 @@ impl Pullback {
     /// # Errors
     /// Where the file cannot be read, a line is no point of one frame at one position, no contour has an area
     /// to find a centre by, or the centreline is shorter than the pullback.
-    pub fn read(path: &Path, centre_mm: Option<DVec2>, centreline: Option<&Centreline>) -> Result<Self> {
+    pub fn read(path: &Path, centre_mm: Option<DVec2>, centreline: Option<&PullbackPath>) -> Result<Self> {
         let mut contours: Vec<Contour> = read_contours(path)?;
         contours.sort_by(|a, b| a.position_mm.total_cmp(&b.position_mm).then(a.number.cmp(&b.number)));
         let (Some(first), Some(last)) = (contours.first(), contours.last()) else {
@@ -134,7 +134,7 @@ fn read_contours(path: &Path) -> Result<Vec<Contour>> {
 
 /// The middle line of a vessel.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Centreline {
+pub struct PullbackPath {
     /// Where it came from, for messages.
     name: std::path::PathBuf,
     /// Its points in the world, mm; no two consecutive ones coincide.
@@ -143,7 +143,7 @@ pub struct Centreline {
     lengths_mm: Vec<f64>,
 }
 
-impl Centreline {
+impl PullbackPath {
     /// Reads points x, y, z in mm, one a line: the first three columns, or those named `x`, `y`, `z` (or `x_mm`,
     /// `y_mm`, `z_mm`). Where a column `branch` is there, the first branch counts.
     ///

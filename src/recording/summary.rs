@@ -15,7 +15,7 @@ pub struct Summary {
     /// One over the median time between frames, 1/s.
     pub frame_rate_hz: Option<f64>,
     /// Rays per frame.
-    pub rays: Option<Spread>,
+    pub rays: Option<MinMedianMax>,
     /// Wall points, without missing echoes.
     pub points: usize,
     /// Rays without an echo.
@@ -23,22 +23,22 @@ pub struct Summary {
     /// Length of the sensor's path, mm.
     pub path_length_mm: f64,
     /// Distance between the sensor's positions in consecutive frames, mm.
-    pub step_mm: Option<Spread>,
+    pub step_mm: Option<MinMedianMax>,
     /// Angle between the sensor's orientations in consecutive frames, rad.
-    pub turn_rad: Option<Spread>,
+    pub turn_rad: Option<MinMedianMax>,
     /// Distance of the wall points from their contour's centroid, mm.
-    pub contour_radius_mm: Option<Spread>,
+    pub contour_radius_mm: Option<MinMedianMax>,
     /// Frames with a cylinder model.
     pub cylinders: usize,
     /// Radius of the cylinder models, mm.
-    pub cylinder_radius_mm: Option<Spread>,
+    pub cylinder_radius_mm: Option<MinMedianMax>,
     /// What looks wrong, one entry per kind.
     pub defects: Vec<Defects>,
 }
 
 /// Smallest, middle and largest of some numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Spread {
+pub struct MinMedianMax {
     /// The smallest.
     pub min: f64,
     /// The middle one; of an even number of them, the upper middle one.
@@ -109,7 +109,7 @@ impl Summary {
             ((turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0) / 2.0).clamp(-1.0, 1.0).acos()
         });
         let (step_mm, turn_rad) = (spread_of_steps(&steps), spread_of_steps(&turns));
-        let jump = |least: f64, spread: Option<Spread>| {
+        let jump = |least: f64, spread: Option<MinMedianMax>| {
             spread.map_or(least, |s| least.max(Self::JUMP_FACTOR * s.median))
         };
         let most_mm = jump(Self::LEAST_JUMP_MM, step_mm);
@@ -140,7 +140,7 @@ impl Summary {
             let centre = f.centroid_mm();
             f.echoes_mm().filter_map(move |p| Some(p.distance(centre?)))
         }));
-        if let Some(Spread { median, .. }) = contour_radius_mm
+        if let Some(MinMedianMax { median, .. }) = contour_radius_mm
             && !LUMEN_RADII_MM.contains(&median)
         {
             let guess = if median < LUMEN_RADII_MM.start { "metres" } else { "micrometres or pixels" };
@@ -180,15 +180,15 @@ fn between(frames: &[Frame], of: impl Fn(&Frame, &Frame) -> f64) -> Vec<(usize, 
     pairs.map(|(k, (a, b))| (k + 1, of(a, b))).filter(|(_, value)| value.is_finite()).collect()
 }
 
-fn spread_of_steps(steps: &[(usize, f64)]) -> Option<Spread> {
+fn spread_of_steps(steps: &[(usize, f64)]) -> Option<MinMedianMax> {
     spread(steps.iter().map(|s| s.1))
 }
 
-fn spread(numbers: impl IntoIterator<Item = f64>) -> Option<Spread> {
+fn spread(numbers: impl IntoIterator<Item = f64>) -> Option<MinMedianMax> {
     let mut sorted: Vec<f64> = numbers.into_iter().filter(|x| x.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     let median = *sorted.get(sorted.len() / 2)?;
-    Some(Spread { min: *sorted.first()?, median, max: *sorted.last()? })
+    Some(MinMedianMax { min: *sorted.first()?, median, max: *sorted.last()? })
 }
 
 struct DefectList(Vec<Defects>);
@@ -216,7 +216,7 @@ impl DefectList {
     }
 }
 
-impl fmt::Display for Spread {
+impl fmt::Display for MinMedianMax {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let digits = f.precision().unwrap_or(3);
         write!(f, "{:.digits$} to {:.digits$}, median {:.digits$}", self.min, self.max, self.median)
@@ -225,8 +225,9 @@ impl fmt::Display for Spread {
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let or_unknown =
-            |s: Option<Spread>, unit: &str| s.map_or_else(|| "none".to_owned(), |s| format!("{s:.3} {unit}"));
+        let or_unknown = |s: Option<MinMedianMax>, unit: &str| {
+            s.map_or_else(|| "none".to_owned(), |s| format!("{s:.3} {unit}"))
+        };
         match (self.frame_rate_hz, self.duration_s) {
             (Some(rate), Some(s)) => {
                 writeln!(f, "frames          {} ({rate:.2} per second, {s:.2} s)", self.frames)?
@@ -239,7 +240,7 @@ impl fmt::Display for Summary {
         writeln!(f, "points          {} and {} missing echoes", self.points, self.missing_echoes)?;
         writeln!(f, "path            {:.2} mm", self.path_length_mm)?;
         writeln!(f, "steps           {}", or_unknown(self.step_mm, "mm"))?;
-        let degrees = |s: Spread| Spread {
+        let degrees = |s: MinMedianMax| MinMedianMax {
             min: s.min.to_degrees(),
             median: s.median.to_degrees(),
             max: s.max.to_degrees(),

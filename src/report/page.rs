@@ -178,7 +178,7 @@ footer { color: #55555c; font-size: .85rem; margin: 2.5rem 0 1rem; border-top: 1
 
 fn png(picture: &Picture) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    picture.encode(&mut bytes).map_err(|source| Error::Write { path: "a picture".into(), source })?;
+    picture.encode(&mut bytes).map_err(|source| Error::Output { target: "picture", source })?;
     Ok(bytes)
 }
 

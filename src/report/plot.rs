@@ -192,7 +192,7 @@ fn svg(room: Room, draw: impl FnOnce(&Area) -> Drawn) -> Result<String> {
         Ok(()) => Ok(text),
         Err(error) => {
             let source = std::io::Error::other(error.to_string());
-            Err(Error::Write { path: "a figure".into(), source })
+            Err(Error::Output { target: "figure", source })
         }
     }
 }

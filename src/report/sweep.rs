@@ -1,8 +1,8 @@
-//! What a page says of a sweep alone.
+//! What a page shows of a reconstruction by the sweep.
 
 use super::page::Page;
 use super::plot::{Line, Mark, Room, lines};
-use super::reconstruction::{engine_row, facts, share};
+use super::rows::{engine_row, facts, share};
 use crate::Result;
 use crate::sweep::{Report, Sweep};
 

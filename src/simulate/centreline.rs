@@ -123,14 +123,16 @@ impl Centreline {
     /// [`Error::Write`].
     pub fn write_branches(branches: &[Self], path: &Path) -> Result<()> {
         write_atomically(path, |out| {
-            writeln!(out, "branch,s_mm,x_mm,y_mm,z_mm,r_inscribed_mm")?;
+            let mut table = csv::Writer::from_writer(out);
+            table.write_record(["branch", "s_mm", "x_mm", "y_mm", "z_mm", "r_inscribed_mm"])?;
             for (number, branch) in branches.iter().enumerate() {
                 let along = branch.arc_length_mm.iter().zip(&branch.inscribed_radius_mm);
                 for (p, (s, radius)) in branch.points_mm.iter().zip(along) {
-                    writeln!(out, "{number},{s},{},{},{},{radius}", p.x, p.y, p.z)?;
+                    let row = [*s, p.x, p.y, p.z, *radius].map(|value| value.to_string());
+                    table.write_record([number.to_string()].iter().chain(&row))?;
                 }
             }
-            Ok(())
+            table.flush()
         })
     }
 
@@ -152,6 +154,13 @@ impl Centreline {
     /// The length of the whole curve, mm.
     pub fn length_mm(&self) -> f64 {
         self.arc_length_mm.last().copied().unwrap_or_default()
+    }
+
+    /// Points of the curve at equal steps of about 1 mm, both ends among them, each with its length from the start, mm.
+    pub fn every_mm(&self) -> Vec<(f64, DVec3)> {
+        let whole = self.length_mm();
+        let steps = whole.ceil().max(1.0) as usize;
+        (0..=steps).map(|i| i as f64 / steps as f64 * whole).map(|s| (s, self.at(s).0)).collect()
     }
 
     /// The point `s_mm` along the curve, mm, and the unit tangent there.

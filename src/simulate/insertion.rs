@@ -1,7 +1,7 @@
 //! How the catheter moves.
 
 use super::centreline::Centreline;
-use super::vessel::Vessel;
+use super::vessel::SimulatedVessel;
 use super::within;
 use crate::geometry::Pose;
 use crate::{Error, Result};
@@ -185,7 +185,7 @@ impl Insertion {
 
     /// Plans the moves through a vessel that shrinks to `least_scale` of its size at times. The settings are taken
     /// to be valid.
-    pub(super) fn plan<'a>(&'a self, vessel: &'a Vessel, least_scale: f64) -> Result<Path<'a>> {
+    pub(super) fn plan<'a>(&'a self, vessel: &'a SimulatedVessel, least_scale: f64) -> Result<Path<'a>> {
         let Some(centreline) = vessel.branches().get(self.branch) else {
             return Err(Error::Setting {
                 name: "insertion.branch",
@@ -293,7 +293,7 @@ impl Path<'_> {
     }
 
     /// Refuses a tip outside the lumen or nearer to the wall than the clearance.
-    pub fn check(&self, vessel: &Vessel, time_s: f64) -> Result<()> {
+    pub fn check(&self, vessel: &SimulatedVessel, time_s: f64) -> Result<()> {
         let state = self.state(time_s);
         self.wall_too_near(vessel, state, self.insertion.clearance_mm).map_or(Ok(()), |distance_mm| {
             Err(Error::Surface {
@@ -351,7 +351,12 @@ impl Path<'_> {
 
     /// `None`: the tip keeps `clearance_mm` from the wall. Else how near the wall is, or nothing where it was
     /// passed.
-    fn wall_too_near(&self, vessel: &Vessel, state: State, clearance_mm: f64) -> Option<Option<f64>> {
+    fn wall_too_near(
+        &self,
+        vessel: &SimulatedVessel,
+        state: State,
+        clearance_mm: f64,
+    ) -> Option<Option<f64>> {
         let middle = self.centreline.at(state.s_mm).0;
         // In a smaller vessel the tip is further out: enlarging its way from the middle has the same effect.
         let tip = middle + (self.tip_in(state).translation_mm - middle) / self.least_scale;
@@ -363,7 +368,7 @@ impl Path<'_> {
     }
 
     /// The largest angle up to `asked_deg` that keeps its clearance in every plane.
-    fn largest_bend_deg(&self, vessel: &Vessel, state: State, asked_deg: f64) -> f64 {
+    fn largest_bend_deg(&self, vessel: &SimulatedVessel, state: State, asked_deg: f64) -> f64 {
         // Halfway between two of the planes that are tried, the tip is so far from both of its neighbours at most;
         // the wall can be nearer by no more than that.
         let between_mm = |angle_deg: f64| {

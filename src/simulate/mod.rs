@@ -1,13 +1,13 @@
 //! Simulated recordings: a vessel that is known exactly, a catheter that moves through it, a probe that sees its
 //! wall, and noise.
 //!
-//! Phantom or any surface → [`Vessel`] → [`Insertion`] → [`Probe`] → [`Noise`] → [`Simulation`].
+//! Phantom or any surface → [`SimulatedVessel`] → [`Insertion`] → [`Probe`] → [`Noise`] → [`Simulation`].
 //!
 //! ```
-//! use lumenmesh::simulate::{Insertion, Phantom, Settings, Shape, Simulation};
+//! use lumenmesh::simulate::{Insertion, Phantom, SimulationSettings, Shape, Simulation};
 //!
 //! let vessel = Phantom::from("cylinder".parse::<Shape>()?).vessel()?;
-//! let settings = Settings { insertion: Insertion::steady(), ..Settings::default() };
+//! let settings = SimulationSettings { insertion: Insertion::steady(), ..SimulationSettings::default() };
 //! let simulation = Simulation::run(vessel, &settings)?;
 //! assert_eq!(simulation.recording.frames.len(), simulation.truth_recording.frames.len());
 //! # Ok::<(), lumenmesh::Error>(())
@@ -28,7 +28,7 @@ pub use noise::{ContourNoise, Noise};
 pub use phantom::{Phantom, Shape};
 pub use probe::Probe;
 pub use tracker::TrackerNoise;
-pub use vessel::Vessel;
+pub use vessel::SimulatedVessel;
 
 use crate::geometry::Pose;
 use crate::recording::CylinderModel;
@@ -42,7 +42,7 @@ use serde::{Deserialize, Serialize};
 /// All that decides what a simulated recording looks like, but for the vessel.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
+pub struct SimulationSettings {
     /// How the catheter moves.
     pub insertion: Insertion,
     /// What the probe sees.
@@ -54,7 +54,7 @@ pub struct Settings {
     pub cylinders: bool,
 }
 
-impl Settings {
+impl SimulationSettings {
     /// Refuses what cannot be simulated in any vessel.
     ///
     /// # Errors
@@ -74,7 +74,7 @@ pub struct Simulation {
     /// The same frames without any fault, in the vessel at rest: true poses, wall points exactly on the wall.
     pub truth_recording: Recording,
     /// The vessel.
-    pub vessel: Vessel,
+    pub vessel: SimulatedVessel,
     /// Bends that were reduced to keep the tip in the lumen.
     pub reduced_bends: Vec<ReducedBend>,
 }
@@ -85,7 +85,7 @@ impl Simulation {
     /// # Errors
     /// [`Error::Setting`] for settings that are out of range or do not suit the vessel, [`Error::Surface`] where
     /// the catheter's tip would leave the lumen.
-    pub fn run(vessel: Vessel, settings: &Settings) -> Result<Self> {
+    pub fn run(vessel: SimulatedVessel, settings: &SimulationSettings) -> Result<Self> {
         Self::run_and_tell(vessel, settings, &|_, _| ())
     }
 
@@ -94,8 +94,8 @@ impl Simulation {
     /// # Errors
     /// As [`Simulation::run`].
     pub fn run_and_tell(
-        vessel: Vessel,
-        settings: &Settings,
+        vessel: SimulatedVessel,
+        settings: &SimulationSettings,
         tell: &(dyn Fn(usize, usize) + Sync),
     ) -> Result<Self> {
         settings.validate()?;
@@ -129,13 +129,13 @@ impl Simulation {
 
 /// Frame `k` as recorded, and in truth.
 fn frame(
-    vessel: &Vessel,
-    settings: &Settings,
+    vessel: &SimulatedVessel,
+    settings: &SimulationSettings,
     path: &insertion::Path,
     k: usize,
     drift: (DVec3, DVec3),
 ) -> (Frame, Frame) {
-    let Settings { probe, noise, .. } = settings;
+    let SimulationSettings { probe, noise, .. } = settings;
     let time_s = path.time_s(k);
     let tip = path.tip(time_s);
     let true_ranges = probe.ranges_mm(vessel, &tip);

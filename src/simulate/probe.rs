@@ -1,6 +1,6 @@
 //! What the ultrasound probe sees.
 
-use super::vessel::Vessel;
+use super::vessel::SimulatedVessel;
 use super::within;
 use crate::geometry::Pose;
 use crate::{Error, Result};
@@ -46,14 +46,14 @@ impl Probe {
     }
 
     /// Distance to the wall along each ray, mm; NaN: no wall within range.
-    pub fn ranges_mm(&self, vessel: &Vessel, world_from_probe: &Pose) -> Vec<f64> {
+    pub fn ranges_mm(&self, vessel: &SimulatedVessel, world_from_probe: &Pose) -> Vec<f64> {
         self.ranges_in_scaled_mm(vessel, world_from_probe, DVec3::ZERO, 1.0)
     }
 
     /// The same in a vessel that is enlarged by `scale` about a point: scaling the ray down instead is exact.
     pub(super) fn ranges_in_scaled_mm(
         &self,
-        vessel: &Vessel,
+        vessel: &SimulatedVessel,
         world_from_probe: &Pose,
         about_mm: DVec3,
         scale: f64,

@@ -10,7 +10,7 @@ use glam::DVec3;
 ///
 /// The wall is one piece with open ends; its triangles run counter-clockwise seen from outside.
 #[derive(Debug, Clone)]
-pub struct Vessel {
+pub struct SimulatedVessel {
     surface: Surface,
     branches: Vec<Centreline>,
     notes: Vec<String>,
@@ -18,10 +18,10 @@ pub struct Vessel {
     wall: Locator,
 }
 
-impl Vessel {
+impl SimulatedVessel {
     /// A vessel from any triangle surface and at least one centreline.
     ///
-    /// Two faults are repaired, and said in [`Vessel::notes`]: pieces beside the largest one are dropped, and
+    /// Two faults are repaired, and said in [`SimulatedVessel::notes`]: pieces beside the largest one are dropped, and
     /// triangles are turned so that their normals point out of the lumen.
     ///
     /// # Errors

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Cut {
     /// The closed curves.
-    pub outlines: Vec<Outline>,
+    pub outlines: Vec<SectionOutline>,
     /// How many curves are not closed: the plane crosses an opening of the surface, or more than two triangles meet
     /// in an edge.
     pub open: usize,
@@ -18,7 +18,7 @@ pub struct Cut {
 
 /// A closed polygon in a plane, in the plane's own coordinates; the last point joins the first.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Outline {
+pub struct SectionOutline {
     /// Its points, mm.
     pub points_mm: Vec<DVec2>,
 }
@@ -67,7 +67,8 @@ impl Surface {
             }
             let curve = curve_from(start, &joined, &mut seen);
             if curve.len() > 2 && curve.iter().all(|&p| joined[p].len() == 2) {
-                cut.outlines.push(Outline { points_mm: curve.iter().map(|&p| points_mm[p]).collect() });
+                cut.outlines
+                    .push(SectionOutline { points_mm: curve.iter().map(|&p| points_mm[p]).collect() });
             } else {
                 cut.open += 1;
             }
@@ -89,7 +90,7 @@ fn curve_from(start: usize, joined: &[Vec<usize>], seen: &mut [bool]) -> Vec<usi
     curve
 }
 
-impl Outline {
+impl SectionOutline {
     fn edges(&self) -> impl Iterator<Item = (DVec2, DVec2)> + '_ {
         let points = &self.points_mm;
         points.iter().copied().zip(points.iter().copied().cycle().skip(1))

@@ -3,7 +3,7 @@
 use crate::cylinders::{assert_all_agree, assert_same};
 use crate::device::{device, say};
 use crate::sections::recording;
-use lumenmesh::cylinders::merge::Vessel;
+use lumenmesh::cylinders::merge::MergedVessel;
 use lumenmesh::cylinders::{CpuEngine, Engine, Job, Track, merged_frames};
 use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::recording::Recording;
@@ -121,7 +121,7 @@ fn the_fitting_error_is_the_cpu_s() {
         let job = Job::new(&track, &frames, &settings);
         let truth = Truth::new(Surface::read(&truth).unwrap()).unwrap();
         let [found, expected] = [&device.engine as &dyn Engine, &CpuEngine::<f32>::new()].map(|engine| {
-            let vessel = Vessel::of(&engine.fit(&job).unwrap(), settings.merge);
+            let vessel = MergedVessel::of(&engine.fit(&job).unwrap(), settings.merge);
             evaluate(&vessel.surface(), &truth).unwrap().mesh_to_truth.mean_mm
         });
         println!("{name}: fitting error {found:.6} mm on the device, {expected:.6} mm on the CPU");

@@ -23,7 +23,7 @@ fn sweep() -> Settings {
 fn simulated(shape: &str, insertion: Insertion, seed: u64) -> Simulation {
     let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
     let noise = simulate::Noise { seed, ..Default::default() };
-    Simulation::run(vessel, &simulate::Settings { insertion, noise, ..Default::default() }).unwrap()
+    Simulation::run(vessel, &simulate::SimulationSettings { insertion, noise, ..Default::default() }).unwrap()
 }
 
 fn pushed(frames: &[Frame], settings: &Settings) -> Live {

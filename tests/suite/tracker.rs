@@ -10,7 +10,11 @@ use lumenmesh::sweep::{Sweep, Tracker};
 /// The thesis's sequence of moves through a phantom.
 fn simulated(shape: &str, noise: Noise) -> Simulation {
     let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
-    Simulation::run(vessel, &simulate::Settings { noise, ..simulate::Settings::default() }).unwrap()
+    Simulation::run(
+        vessel,
+        &simulate::SimulationSettings { noise, ..simulate::SimulationSettings::default() },
+    )
+    .unwrap()
 }
 
 /// A tracker three times as noisy as the thesis's.
@@ -112,10 +116,10 @@ fn no_offset_is_made_up() {
 #[test]
 fn a_steady_pullback_shows_no_offset() {
     // Every pose is as much behind as the others: the vessel is shifted along itself, and still smooth.
-    let settings = simulate::Settings {
+    let settings = simulate::SimulationSettings {
         insertion: Insertion::steady(),
         noise: late(0.3),
-        ..simulate::Settings::default()
+        ..simulate::SimulationSettings::default()
     };
     let vessel = Phantom::from("aorta".parse::<Shape>().unwrap()).vessel().unwrap();
     let simulation = Simulation::run(vessel, &settings).unwrap();

@@ -1,4 +1,4 @@
-use super::{Ring, Vessel};
+use super::{MergedVessel, VesselRing};
 use crate::cylinders::fit::FittedCylinder;
 use crate::geometry::{Pose, transported};
 use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
@@ -57,7 +57,7 @@ impl Blend {
     ///
     /// A cylinder beside the vessel, as in a branch that is entered later, has no say.
     pub fn append(&mut self, cylinder: &FittedCylinder, radii_mm: &[f64]) {
-        let Some(wall) = Wall::new(cylinder, radii_mm) else { return };
+        let Some(wall) = CylinderWall::new(cylinder, radii_mm) else { return };
         if self.stations.is_empty() {
             self.stations.push(wall.first_station());
         }
@@ -65,7 +65,7 @@ impl Blend {
         let squared = |s: &Station| s.world_from_ring.translation_mm.distance_squared(origin);
         let order = |a: &(usize, f64), b: &(usize, f64)| a.1.total_cmp(&b.1);
         let nearest = self.stations.iter().map(squared).enumerate().min_by(order).map_or(0, |(at, _)| at);
-        let nearest = self.retreat(nearest, &wall);
+        let nearest = self.trim_ends(nearest, &wall);
         let (last, _) = self.extend(nearest, &wall, true);
         let (first, laid) = self.extend(nearest, &wall, false);
         self.stations[first..=last + laid].iter_mut().for_each(|station| wall.meet(station));
@@ -73,7 +73,7 @@ impl Blend {
 
     /// Takes rings off the ends near ring `nearest` that lie beside the cylinder: laid where a bent tip pointed or
     /// another branch opened, not where the vessel goes. Returns what `nearest` has become.
-    fn retreat(&mut self, mut nearest: usize, wall: &Wall) -> usize {
+    fn trim_ends(&mut self, mut nearest: usize, wall: &CylinderWall) -> usize {
         let near = wall.near_rings();
         while self.stations.len() > 1
             && self.stations.len() - nearest <= near
@@ -94,7 +94,7 @@ impl Blend {
 
     /// Lays rings from the end of the vessel near ring `nearest`, or from the edge of a gap, to the cylinder's
     /// origin. Returns the farthest ring that the cylinder can overlap and how many were laid.
-    fn extend(&mut self, nearest: usize, wall: &Wall, forward: bool) -> (usize, usize) {
+    fn extend(&mut self, nearest: usize, wall: &CylinderWall, forward: bool) -> (usize, usize) {
         let sense = if forward { 1.0 } else { -1.0 };
         let (mut at, mut laid) = (nearest, 0);
         for _ in 0..wall.near_rings() {
@@ -142,14 +142,14 @@ impl Blend {
     ///
     /// `support` of a node is the mean number of points behind it in the cylinders, at least 1; nodes that none saw
     /// have 0 and lie on the circle that fits the others best.
-    pub fn vessel(&self) -> Vessel {
-        Vessel { rings: self.stations.iter().filter_map(Station::ring).collect() }
+    pub fn vessel(&self) -> MergedVessel {
+        MergedVessel { rings: self.stations.iter().filter_map(Station::ring).collect() }
     }
 }
 
 impl Station {
     /// The ring; `None` where less than half of it was seen.
-    fn ring(&self) -> Option<Ring> {
+    fn ring(&self) -> Option<VesselRing> {
         let count = self.sums.len();
         let seen = |j: usize| Some(self.sums[j]).filter(|sums| sums.weight > 0.0);
         if 2 * (0..count).filter(|&j| seen(j).is_some()).count() < count {
@@ -163,7 +163,7 @@ impl Station {
             let radius_mm = seen(j).map_or_else(|| circle.radius_along(ray.xy()), |sums| radius_mm(&sums));
             self.world_from_ring.transform_point(ray * radius_mm)
         });
-        Some(Ring {
+        Some(VesselRing {
             frame: self.frame,
             nodes_mm: nodes_mm.collect(),
             support: (0..count)
@@ -219,7 +219,7 @@ fn turned(from: DVec3, to: DVec3, most_rad: f64) -> DVec3 {
 }
 
 /// The wall of one cylinder.
-struct Wall<'a> {
+struct CylinderWall<'a> {
     cylinder: &'a FittedCylinder,
     radii_mm: &'a [f64],
     from_world: Pose,
@@ -229,7 +229,7 @@ struct Wall<'a> {
     sure: Vec<f64>,
 }
 
-impl<'a> Wall<'a> {
+impl<'a> CylinderWall<'a> {
     /// `None` where points support no ring of it.
     fn new(cylinder: &'a FittedCylinder, radii_mm: &'a [f64]) -> Option<Self> {
         let (tube, support) = (&cylinder.tube.tube, &cylinder.tube.support);

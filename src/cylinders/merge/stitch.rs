@@ -1,8 +1,8 @@
-use super::{Ring, Vessel};
+use super::{MergedVessel, VesselRing};
 use crate::cylinders::fit::FittedCylinder;
 use glam::DVec3;
 
-impl Vessel {
+impl MergedVessel {
     /// Appends a cylinder with the given radii (its last ones, or those of another iteration) as published (thesis,
     /// section 3.3; method, section 5): rings that it overlaps are dropped whole, the rest keep their order, and the
     /// new rings come behind them, all turned by one shift so that their node 0 is the one nearest to node 0 of the
@@ -35,7 +35,7 @@ impl Vessel {
         for (ring, ring_nodes) in nodes.chunks_exact(count).enumerate() {
             let turned = |j: usize| (j + shift) % count;
             let per_node = |j: usize| ring * count + turned(j);
-            self.rings.push(Ring {
+            self.rings.push(VesselRing {
                 frame: cylinder.frame,
                 nodes_mm: (0..count).map(|j| ring_nodes[turned(j)]).collect(),
                 support: (0..count).map(|j| cylinder.tube.support[per_node(j)]).collect(),

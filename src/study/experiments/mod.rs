@@ -16,7 +16,7 @@ use crate::evaluate::{Coverage, Truth};
 use crate::geometry::Pose;
 use crate::recording::Recording;
 use crate::settings::{Backend, Method, Settings};
-use crate::simulate::{self, Insertion, Noise, Probe, Simulation, Vessel};
+use crate::simulate::{self, Insertion, Noise, Probe, SimulatedVessel, Simulation};
 use crate::surface::Surface;
 use serde::Serialize;
 use std::time::Instant;
@@ -44,7 +44,7 @@ pub struct Plan {
     /// How the recordings are reconstructed.
     pub settings: Settings,
     /// How they are simulated. Its noise is that of the noisy recording; the other has none.
-    pub simulation: simulate::Settings,
+    pub simulation: simulate::SimulationSettings,
 }
 
 impl Plan {
@@ -55,9 +55,9 @@ impl Plan {
             vessel_name: vessel_name.into(),
             // The choice of a device must not change the numbers.
             settings: Settings { method: Method::Cylinders, backend: Backend::Cpu, ..Settings::default() },
-            simulation: simulate::Settings {
+            simulation: simulate::SimulationSettings {
                 noise: Noise { seed, ..Noise::default() },
-                ..simulate::Settings::default()
+                ..simulate::SimulationSettings::default()
             },
         }
     }
@@ -82,7 +82,7 @@ pub struct Experiments {
     /// The settings of the reconstruction.
     pub settings: Settings,
     /// The settings of the simulation.
-    pub simulation: simulate::Settings,
+    pub simulation: simulate::SimulationSettings,
     /// Table 1.
     pub larger_cylinder: Convergence,
     /// Tables 2 and 3: ten iterations, of which Table 2 shows three.
@@ -154,7 +154,7 @@ pub struct Seconds {
 /// # Errors
 /// Where the simulation, the reconstruction or the evaluation fails.
 pub fn run(
-    vessel: Vessel,
+    vessel: SimulatedVessel,
     plan: &Plan,
     tell: &(dyn Fn(&'static str, usize, usize) + Sync),
 ) -> Result<Outcome> {
@@ -190,7 +190,7 @@ pub fn run(
     let steady_start = Instant::now();
     let insertion =
         Insertion { moves: Insertion::steady().moves, repeat: true, ..simulation.insertion.clone() };
-    let steady_settings = simulate::Settings { insertion, ..simulation.clone() };
+    let steady_settings = simulate::SimulationSettings { insertion, ..simulation.clone() };
     let steady = Simulation::run(simulated.vessel.clone(), &steady_settings)?;
     let coverage = coverage_of(&steady, &truth)?;
     let (noisy_steady, ..) = measure("with noise, never bent", &steady.recording, &coverage)?;
