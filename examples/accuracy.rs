@@ -10,6 +10,10 @@
 //! Python with Open3D (default: `python3`); without it Poisson is not run. Exit status: 0 where the sweep's mean
 //! distance is at most 0.8 times Poisson's in every row, else 1.
 
+#[path = "../tests/support/data.rs"]
+mod data;
+
+use data::shared_path as shared;
 use glam::DVec3;
 use lumenmesh::Result;
 use lumenmesh::cylinders::CylinderReconstruction;
@@ -23,7 +27,7 @@ use lumenmesh::simulate::{
 };
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, ExitCode};
 
 const TABLE: &str = "docs/accuracy.md";
@@ -173,10 +177,6 @@ fn rows() -> Vec<(String, Source)> {
     add("coronary", "coronary_tree_phantom_vukicevic", Way::Steady, Some([0.2, 0.1]), 5);
     add("coronary", "coronary_tree_phantom_vukicevic", Way::Thesis, Some([0.2, 0.1]), 7);
     rows
-}
-
-fn shared(path: &str) -> PathBuf {
-    std::env::var_os("LUMENMESH_SHARED").map_or_else(|| "../shared".into(), PathBuf::from).join(path)
 }
 
 fn input(source: &Source) -> Result<Input> {

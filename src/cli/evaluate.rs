@@ -72,7 +72,7 @@ struct Report<'a> {
     #[serde(flatten)]
     evaluation: &'a Evaluation,
     volumes: Option<Volumes>,
-    /// Why there are none.
+    /// Why they are missing.
     #[serde(skip_serializing_if = "Option::is_none")]
     no_volumes: Option<String>,
     regions: &'a [Region],
@@ -173,10 +173,10 @@ impl Arguments {
             Err(why) => println!("{:<22}not comparable: {why}", "volume, mm³"),
         }
         println!();
-        // A side branch that no frame saw is near the trunk's mesh, which the rim cannot tell.
+        // The rule by the rim counts a side branch without frames as covered, because the trunk's mesh is near it.
         let doubt = match self.recording {
             Some(_) => "",
-            None => "; on branched vessels --recording knows better",
+            None => "; for branched vessels, --recording gives a better rule",
         };
         println!("truth→mesh counts nodes of the truth where {}{doubt}.", evaluation.covered_rule);
         if !regions.is_empty() {

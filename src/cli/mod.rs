@@ -96,8 +96,8 @@ fn print_json(value: &impl serde::Serialize) -> Result<()> {
     Ok(())
 }
 
-/// Writes to stdout, or ends the process where that cannot be done: quietly where the reader has seen enough, as
-/// `head` does, else with status 1.
+/// Writes to stdout, or ends the process where that fails: silently where the reader has closed the pipe, as `head` does,
+/// else with status 1.
 fn say(text: std::fmt::Arguments) {
     match std::io::Write::write_fmt(&mut std::io::stdout().lock(), text) {
         Ok(()) => {}

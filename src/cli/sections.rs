@@ -145,7 +145,7 @@ impl Arguments {
         if 2 * known < numbers.len() {
             eprintln!(
                 "lumenmesh: warning: {}: values for {known} of the recording's {} frames: does it number them \
-                 otherwise (see --numbers)?",
+                 differently (see --numbers)?",
                 table.display(),
                 numbers.len()
             );
@@ -159,7 +159,7 @@ impl Arguments {
     }
 }
 
-/// Over the frames that the table has; one that the mesh has no area for counts as off without bound.
+/// Over the frames of the table; the difference of a frame without an area counts as infinite.
 fn median_absolute_difference(lines: &[Line]) -> Option<f64> {
     let size = |d: f64| if d.is_nan() { f64::INFINITY } else { d.abs() };
     let mut differences: Vec<f64> = lines.iter().filter_map(|l| l.difference_percent).map(size).collect();

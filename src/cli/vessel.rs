@@ -4,7 +4,7 @@ use crate::surface::Surface;
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// Which vessel to simulate in.
+/// The vessel to simulate in.
 #[derive(clap::Args)]
 pub(super) struct VesselArguments {
     /// A phantom (aorta, cylinder, frustum, arch, small_arch, stenosis, aneurysm, ellipse,
@@ -18,7 +18,7 @@ pub(super) struct VesselArguments {
 }
 
 impl VesselArguments {
-    /// The vessel, and what to call it. The flag goes before a configured phantom.
+    /// The vessel and its name. The flag takes precedence over a configured phantom.
     pub fn vessel(&self, configured: Option<Phantom>) -> Result<(String, SimulatedVessel)> {
         let flag = self.vessel.as_deref();
         match flag.map(Path::new) {

@@ -9,13 +9,12 @@ use crate::settings::{Merge, Settings};
 use crate::{Error, Result};
 use std::ops::Range;
 
-/// Frames that a cylinder looks at in one place, the newest: within [`REST_MM`] of a frame's centre older ones are
-/// forgotten.
+/// Newest frames that are kept within [`REST_MM`] of a frame's centre; older ones are dropped.
 pub(crate) const MAX_FRAMES_AT_REST: usize = 512;
 /// Radius of such a place, mm.
 pub(crate) const REST_MM: f64 = 2.0;
 
-/// Frames, and the vessel of their cylinders.
+/// The track and the vessel while frames arrive.
 pub(crate) struct LiveCylinders {
     settings: Settings,
     engine: Box<dyn Engine>,
@@ -23,7 +22,7 @@ pub(crate) struct LiveCylinders {
     pub vessel: MergedVessel,
 }
 
-/// What a frame did to the vessel.
+/// Changes of the vessel through one frame.
 #[derive(Debug, Default)]
 pub(crate) struct Step {
     /// Rings that changed.
@@ -53,10 +52,10 @@ impl LiveCylinders {
         })
     }
 
-    /// Takes a frame; every `every`-th brings a cylinder.
+    /// Appends a frame; every `every`-th one adds a cylinder.
     pub fn push(&mut self, frame: &Frame) -> Result<Step> {
         self.track.push(frame)?;
-        self.track.forget_rest(REST_MM, MAX_FRAMES_AT_REST);
+        self.track.drop_oldest_near(REST_MM, MAX_FRAMES_AT_REST);
         let count = self.track.len();
         if !count.is_multiple_of(self.settings.every as usize) {
             return Ok(Step::default());

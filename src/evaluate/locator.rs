@@ -9,8 +9,8 @@ use parry3d::partitioning::{Bvh, BvhBuildStrategy, BvhNode};
 use rayon::prelude::*;
 use std::cell::Cell;
 
-/// Queries that one thread works through in order, each starting from its predecessor's triangle. A fixed number, so
-/// that no result depends on the number of threads.
+/// Queries that one thread answers in order, each search starting from the triangle of the query before it. A fixed
+/// number, so that no result depends on the number of threads.
 const RUN: usize = 256;
 
 /// The closest point of a surface to a query.
@@ -33,7 +33,7 @@ pub struct Closest {
 /// Finds the closest point of a surface, and where rays meet it, through parry's tree of bounding boxes over its triangles.
 ///
 /// The boxes are in single precision and a little too large; which triangle is nearest is decided in double precision.
-/// Triangles without area are left out: what they cover belongs to their neighbours' edges, and they have no normal.
+/// Triangles without area are left out: they have no normal, and their points lie on their neighbours' edges too.
 #[derive(Debug, Clone)]
 pub struct Locator {
     boxes: Boxes,
@@ -79,11 +79,11 @@ impl Locator {
             nodes,
             original,
         };
-        locator.look_along_edges();
+        locator.find_edge_normals();
         Ok(locator)
     }
 
-    fn look_along_edges(&mut self) {
+    fn find_edge_normals(&mut self) {
         let mut edges: Vec<([u32; 2], u32, usize)> = Vec::with_capacity(3 * self.nodes.len());
         for (t, nodes) in self.nodes.iter().enumerate() {
             for k in 0..3 {
@@ -112,7 +112,7 @@ impl Locator {
 
     /// The closest point to one query.
     pub fn closest(&self, query_mm: DVec3) -> Closest {
-        self.nearest(query_mm, 0).map_or(Closest::NOWHERE, |nearest| self.describe(query_mm, nearest))
+        self.nearest(query_mm, 0).map_or(Closest::NONE, |nearest| self.describe(query_mm, nearest))
     }
 
     /// The closest points to many queries, in the queries' order, on all threads of the current pool.
@@ -124,7 +124,7 @@ impl Locator {
         let along = |run: &[u32]| -> Vec<Closest> {
             let mut start = 0;
             let mut next = |query_mm| {
-                self.nearest(query_mm, start).map_or(Closest::NOWHERE, |nearest| {
+                self.nearest(query_mm, start).map_or(Closest::NONE, |nearest| {
                     start = nearest.triangle;
                     self.describe(query_mm, nearest)
                 })
@@ -132,24 +132,24 @@ impl Locator {
             run.iter().map(|&query| next(queries_mm[query as usize])).collect()
         };
         let found: Vec<Vec<Closest>> = order.par_chunks(RUN).map(along).collect();
-        let mut closest = vec![Closest::NOWHERE; queries_mm.len()];
+        let mut closest = vec![Closest::NONE; queries_mm.len()];
         for (&query, found) in order.iter().zip(found.into_iter().flatten()) {
             closest[query as usize] = found;
         }
         closest
     }
 
-    /// The nearest triangle, of equally near ones the first: the same whichever one the search starts from. None for a
+    /// The nearest triangle, the first of equally near ones, whichever triangle the search starts from. `None` for a
     /// query that is not finite.
     fn nearest(&self, query_mm: DVec3, start: u32) -> Option<Nearest> {
         if !query_mm.is_finite() {
             return None;
         }
-        let look_at = |triangle: u32| {
+        let measure = |triangle: u32| {
             let (point_mm, feature) = closest_on_triangle(query_mm, self.corners_mm[triangle as usize]);
             Nearest { squared_mm2: query_mm.distance_squared(point_mm), triangle, point_mm, feature }
         };
-        let nearest = Cell::new(look_at(start));
+        let nearest = Cell::new(measure(start));
         let query = self.boxes.place(query_mm).as_vec3a().clamp(-Boxes::FAR, Boxes::FAR);
         self.boxes.tree.find_best(
             self.boxes.bound(nearest.get().squared_mm2),
@@ -158,7 +158,7 @@ impl Locator {
                 if triangle == start {
                     return None;
                 }
-                let found = look_at(triangle);
+                let found = measure(triangle);
                 if found.is_before(nearest.get()) {
                     nearest.set(found);
                 }
@@ -211,7 +211,7 @@ impl Locator {
 }
 
 impl Closest {
-    const NOWHERE: Self = Self {
+    const NONE: Self = Self {
         point_mm: DVec3::NAN,
         distance_mm: f64::NAN,
         signed_distance_mm: f64::NAN,
@@ -247,10 +247,10 @@ impl Boxes {
     /// By how much boxes are too large on each side: twice the rounding of coordinates up to four sizes from the centre,
     /// and of their differences.
     const SLACK: f64 = 1e-6;
-    /// By what factor a bound is too large: farther away, rounding is relative to the distance, and takes a quarter of
-    /// this.
+    /// Factor by which a bound is too large: farther away, rounding is relative to the distance and takes a quarter of
+    /// it.
     const BOUND_SLACK: f32 = 1.0 + 4e-6;
-    /// Queries are taken to be no farther than this, so that squares stay finite: it brings them nearer to every box.
+    /// Coordinates of queries are clamped to this, so that squares stay finite; that brings them nearer to every box.
     const FAR: Vec3A = Vec3A::splat(1e18);
 
     /// At least one triangle, each with an area.
@@ -320,7 +320,7 @@ fn along_a_curve(queries: &[DVec3]) -> Vec<u32> {
     let mut keyed: Vec<u64> = (0u64..)
         .zip(queries)
         .map(|(k, &q)| {
-            // Casts saturate, and what is not finite becomes 0 or the far end: the order is about speed only.
+            // Casts saturate, and numbers that are not finite become 0 or the far end: the order affects speed only.
             let [x, y, z] =
                 ((q - low) * scale).to_array().map(|x| every_third_bit((x as u64).min((1 << 10) - 1)));
             (x | y << 1 | z << 2) << 32 | k

@@ -1,4 +1,4 @@
-//! Errors by place along a vessel.
+//! Errors by position along a vessel.
 
 use super::Distances;
 use crate::{Error, Result};
@@ -8,9 +8,9 @@ use serde::Serialize;
 /// The errors of one stretch of a vessel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Region {
-    /// Where it starts along the centreline, mm.
+    /// Its start along the centreline, mm.
     pub from_mm: f64,
-    /// Where it ends, mm.
+    /// Its end, mm.
     pub to_mm: f64,
     /// The distances of the mesh's nodes there to the truth; none without nodes.
     pub mesh_to_truth: Option<Distances>,

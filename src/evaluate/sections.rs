@@ -1,4 +1,4 @@
-//! The lumen's cross-sections where the probe was.
+//! Cross-sections of the lumen in the planes of the frames.
 
 use crate::geometry::Pose;
 use crate::recording::{Recording, Table};
@@ -25,7 +25,7 @@ pub struct LumenSection {
     pub greatest_diameter_mm: f64,
     /// Diameter of the circle of that area, mm.
     pub equivalent_diameter_mm: f64,
-    /// Why numbers are missing, or what makes them doubtful.
+    /// Why numbers are missing or doubtful.
     pub remark: Option<String>,
 }
 

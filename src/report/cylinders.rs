@@ -50,7 +50,7 @@ pub(super) fn convergence(
     Ok(())
 }
 
-/// Mean distance of the single cylinders' nodes to the truth after each iteration, as far as they remember it.
+/// Mean distance of the single cylinders' nodes to the truth after each iteration of their history.
 fn errors_by_iteration(reconstruction: &CylinderReconstruction, truth: &Truth) -> Vec<[f64; 2]> {
     let cylinders = &reconstruction.cylinders;
     let iterations = cylinders.iter().map(|c| c.tube.history_mm.len()).min().unwrap_or(0);
@@ -64,7 +64,7 @@ fn errors_by_iteration(reconstruction: &CylinderReconstruction, truth: &Truth) -
         .collect()
 }
 
-/// How far along the vessel each ring's middle is, mm.
+/// Length along the vessel up to each ring's middle, mm.
 fn along_mm(rings: &[VesselRing]) -> Vec<f64> {
     let middles: Vec<DVec3> =
         rings.iter().map(|r| r.nodes_mm.iter().sum::<DVec3>() / r.nodes_mm.len().max(1) as f64).collect();
@@ -87,8 +87,8 @@ pub(super) fn coverage(page: &mut Page, rings: &[VesselRing]) -> Result<()> {
     let nodes: usize = rings.iter().map(|r| r.support.len()).sum();
     let bare = rings.iter().flat_map(|r| &r.support).filter(|&&n| n == 0).count();
     page.paragraph(&format!(
-        "{bare} of {nodes} nodes ({:.1} %) have no point on any of their triangles: their place is a guess from their \
-         neighbours.",
+        "{bare} of {nodes} nodes ({:.1} %) have no point on any of their triangles; their positions are interpolated from \
+         their neighbours.",
         100.0 * bare as f64 / nodes.max(1) as f64
     ));
     let mean = |ring: &VesselRing| {
@@ -98,8 +98,11 @@ pub(super) fn coverage(page: &mut Page, rings: &[VesselRing]) -> Result<()> {
     let svg = lines(
         Room::Whole,
         "along the vessel (mm)",
-        "points of a node",
-        &[along_the_vessel(rings, "mean of a ring", mean), along_the_vessel(rings, "least of a ring", least)],
+        "points per node",
+        &[
+            along_the_vessel(rings, "mean of a ring", mean),
+            along_the_vessel(rings, "minimum of a ring", least),
+        ],
     )?;
     page.plot(&svg, "Points on the triangles about a node, ring by ring.");
     Ok(())

@@ -1,4 +1,4 @@
-//! What a person looks at: pictures of meshes, plots, and pages of both.
+//! Pictures of meshes, plots, and HTML pages of both.
 
 mod cylinders;
 mod experiments;

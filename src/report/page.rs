@@ -9,13 +9,13 @@ use std::fmt::Write as _;
 /// A table, for a page or a terminal.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Table {
-    /// What it shows.
+    /// Its title.
     pub title: String,
     /// The heads of its columns.
     pub head: Vec<String>,
     /// Its cells, row by row.
     pub rows: Vec<Vec<String>>,
-    /// What the numbers are, and how they compare.
+    /// Explanation of the numbers.
     pub note: String,
 }
 

@@ -1,4 +1,4 @@
-//! One reconstruction on one page.
+//! The page of one reconstruction.
 
 use super::page::{Page, Table};
 use super::plot::{Violin, violins};
@@ -10,17 +10,17 @@ use crate::evaluate::{self, Evaluation, Truth};
 use crate::reconstruction::{Lumen, LumenReport};
 use crate::recording::{MinMedianMax, Recording, Summary};
 
-/// What a page shows.
+/// The content of a page.
 pub struct PageContent<'a> {
     /// Its title, such as the recording's name.
     pub title: &'a str,
-    /// What was recorded.
+    /// The recording.
     pub recording: &'a Recording,
     /// The lumen. Of cylinders with history, the page shows the errors of every iteration.
     pub lumen: &'a Lumen,
     /// The truth and how far the vessel's surface is from it, where it is known.
     pub measured: Option<(&'a Truth, &'a Evaluation)>,
-    /// What to type to get it again.
+    /// The command that reproduces it.
     pub command: &'a str,
 }
 

@@ -1,4 +1,4 @@
-//! A curve down the middle of a vessel's branch.
+//! The centreline of a vessel's branch.
 
 use crate::geometry::{Pose, polyline, rotation_minimising_frames};
 use crate::output::write_atomically;
@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use std::path::Path;
 
-/// The middle of one branch of a vessel: a smooth curve through given points, parameterised by the length of
+/// The centreline of one branch of a vessel: a smooth curve through given points, parameterised by the length of
 /// the chords between them.
 ///
 /// Between two points the curve is a cubic Hermite piece whose end tangents come from the parabola through
@@ -117,7 +117,7 @@ impl Centreline {
     }
 
     /// Writes the centrelines of a vessel as [`Centreline::read_branches`] reads them, with the column `s_mm`, how far
-    /// along its branch a point lies. Numbers carry all their digits.
+    /// along its branch a point lies. Numbers have all their digits.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -141,7 +141,7 @@ impl Centreline {
         &self.points_mm
     }
 
-    /// How far along the curve each point lies, mm; the first is 0.
+    /// Length along the curve up to each point, mm; the first is 0.
     pub fn arc_length_mm(&self) -> &[f64] {
         &self.arc_length_mm
     }

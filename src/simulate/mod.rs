@@ -1,5 +1,5 @@
-//! Simulated recordings: a vessel that is known exactly, a catheter that moves through it, a probe that sees its
-//! wall, and noise.
+//! Simulated recordings: a vessel of known geometry, a catheter that moves through it, a probe that measures distances to
+//! its wall, and noise.
 //!
 //! Phantom or any surface → [`SimulatedVessel`] → [`Insertion`] → [`Probe`] → [`Noise`] → [`Simulation`].
 //!
@@ -39,15 +39,15 @@ use noise::FrameNoise;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// All that decides what a simulated recording looks like, but for the vessel.
+/// All settings of a simulated recording except the vessel.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimulationSettings {
-    /// How the catheter moves.
+    /// Motion of the catheter.
     pub insertion: Insertion,
-    /// What the probe sees.
+    /// The probe.
     pub probe: Probe,
-    /// What goes wrong.
+    /// Noise and faults.
     pub noise: Noise,
     /// Whether every frame carries a local cylinder: the tangent of the centreline at its point nearest to the
     /// tip, and the inscribed radius there, with the noise that [`Noise`] asks for.
@@ -55,10 +55,10 @@ pub struct SimulationSettings {
 }
 
 impl SimulationSettings {
-    /// Refuses what cannot be simulated in any vessel.
+    /// Checks what does not depend on the vessel.
     ///
     /// # Errors
-    /// [`Error::Setting`] with the first setting to blame.
+    /// [`Error::Setting`] with the first setting out of range.
     pub fn validate(&self) -> Result<()> {
         self.insertion.validate()?;
         self.probe.validate()?;
@@ -66,10 +66,10 @@ impl SimulationSettings {
     }
 }
 
-/// A simulated recording and the truth that it shows.
+/// A simulated recording and its truth.
 #[derive(Debug, Clone)]
 pub struct Simulation {
-    /// What tracker and probe deliver. The probe is the sensor: `eTi` is the identity.
+    /// The recording with noise. The probe is the sensor: `eTi` is the identity.
     pub recording: Recording,
     /// The same frames without any fault, in the vessel at rest: true poses, wall points exactly on the wall.
     pub truth_recording: Recording,
@@ -89,7 +89,7 @@ impl Simulation {
         Self::run_and_tell(vessel, settings, &|_, _| ())
     }
 
-    /// [`Simulation::run`] that tells how far it is: `tell(frames done, frames in all)`, from any thread.
+    /// As [`Simulation::run`], with progress: `tell(frames done, frames in all)` is called from any thread.
     ///
     /// # Errors
     /// As [`Simulation::run`].
@@ -206,7 +206,7 @@ fn local_cylinder(
 }
 
 fn within(name: &'static str, value: f64, low: f64, high: f64) -> Result<()> {
-    // Not a number is in no range.
+    // NaN is in no range.
     if (low..=high).contains(&value) {
         Ok(())
     } else {

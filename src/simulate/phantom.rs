@@ -1,4 +1,4 @@
-//! Vessels made from formulas.
+//! Vessels defined by formulas.
 
 use super::branching::{self, Limb};
 use super::centreline::Centreline;
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::str::FromStr;
 
-/// A vessel made from formulas: a tube about a smooth curve, or several that branch, open at its ends. Its
+/// A vessel defined by formulas: a tube about a smooth curve, or several that branch, open at its ends. Its
 /// centrelines start at the origin along +z.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -223,7 +223,7 @@ impl Phantom {
         SimulatedVessel::new(self.wall(&curve), vec![self.centreline(&curve)?])
     }
 
-    /// Refuses dimensions that make no tube.
+    /// Checks the dimensions.
     ///
     /// # Errors
     /// [`Error::Setting`].
@@ -479,14 +479,14 @@ impl Branching {
 
 /// Refuses edges so short that the wall does not fit in memory.
 fn not_too_fine(edge_mm: f64, pieces: f64) -> Result<()> {
-    const MOST: f64 = 3e7;
-    if pieces <= MOST {
+    const MAX_PIECES: f64 = 3e7;
+    if pieces <= MAX_PIECES {
         return Ok(());
     }
     Err(Error::Setting {
         name: "vessel.edge_mm",
         found: format!("{edge_mm}, which makes {pieces:.0} pieces"),
-        expected: format!("longer edges, at most {MOST:.0} pieces"),
+        expected: format!("longer edges, at most {MAX_PIECES:.0} pieces"),
     })
 }
 

@@ -1,4 +1,4 @@
-//! What the ultrasound probe sees.
+//! The ultrasound probe.
 
 use super::vessel::SimulatedVessel;
 use super::within;
@@ -14,7 +14,7 @@ use std::f64::consts::TAU;
 pub struct Probe {
     /// Rays per frame; ray j leaves at the angle 2πj/rays from x towards y.
     pub rays: usize,
-    /// A wall further away gives no echo, mm.
+    /// Walls farther away give no echo, mm.
     pub range_mm: f64,
 }
 
@@ -25,7 +25,7 @@ impl Default for Probe {
 }
 
 impl Probe {
-    /// Refuses what is no probe.
+    /// Checks the settings.
     ///
     /// # Errors
     /// [`Error::Setting`].

@@ -1,4 +1,4 @@
-//! The truth: a vessel's wall and the curves down its middle.
+//! The truth: a vessel's wall and the centrelines of its branches.
 
 use super::centreline::Centreline;
 use crate::evaluate::Locator;
@@ -6,7 +6,7 @@ use crate::surface::Surface;
 use crate::{Error, Result};
 use glam::DVec3;
 
-/// A vessel to simulate in: its wall, known exactly, and the centrelines of its branches.
+/// A vessel of known geometry: its wall and the centrelines of its branches.
 ///
 /// The wall is one piece with open ends; its triangles run counter-clockwise seen from outside.
 #[derive(Debug, Clone)]
@@ -21,7 +21,7 @@ pub struct SimulatedVessel {
 impl SimulatedVessel {
     /// A vessel from any triangle surface and at least one centreline.
     ///
-    /// Two faults are repaired, and said in [`SimulatedVessel::notes`]: pieces beside the largest one are dropped, and
+    /// Two faults are repaired and listed in [`SimulatedVessel::notes`]: pieces beside the largest one are dropped, and
     /// triangles are turned so that their normals point out of the lumen.
     ///
     /// # Errors
@@ -51,12 +51,12 @@ impl SimulatedVessel {
         &self.branches
     }
 
-    /// What was repaired or looks odd, in plain words; empty for a sound vessel.
+    /// Repairs and doubts, in words; empty for a sound vessel.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// How far from `origin_mm` the first wall in the unit `direction` is, mm; `None` beyond `range_mm`.
+    /// Distance from `origin_mm` to the first wall along the unit `direction`, mm; `None` beyond `range_mm`.
     pub fn cast_mm(&self, origin_mm: DVec3, direction: DVec3, range_mm: f64) -> Option<f64> {
         let cast = |direction| self.wall.cast(origin_mm, direction, range_mm).map(|(_, distance)| distance);
         // A ray that meets an edge exactly can slip between its two triangles in rounding. A ray a hair beside it
@@ -72,14 +72,13 @@ impl SimulatedVessel {
         self.wall.distance_mm(point_mm)
     }
 
-    /// Whether the straight way between two points meets the wall.
+    /// Whether the segment between two points meets the wall.
     pub(super) fn wall_between(&self, from_mm: DVec3, to_mm: DVec3) -> bool {
         let way = to_mm - from_mm;
         way.try_normalize().is_some_and(|direction| self.cast_mm(from_mm, direction, way.length()).is_some())
     }
 
-    /// Of the rays across the centreline at `s_mm`: how many meet the wall from its inside, and how many from
-    /// its outside.
+    /// Numbers of rays across the centreline at `s_mm` that meet the wall from its inside and from its outside.
     fn rays_across(&self, branch: &Centreline, s_mm: f64) -> (usize, usize) {
         let frame = branch.frame(s_mm);
         let (mut inside, mut outside) = (0, 0);
@@ -99,7 +98,7 @@ impl SimulatedVessel {
         (inside, outside)
     }
 
-    /// Turns all triangles where the rays from the centrelines meet more of them from outside than from inside.
+    /// Reverses all triangles where more rays from the centrelines meet the wall from outside than from inside.
     fn turn_outward(&mut self) -> Result<()> {
         let (inside, outside) = self
             .branches
@@ -216,7 +215,7 @@ fn orient(surface: &mut Surface, notes: &mut Vec<String>) {
             surface.triangles.len()
         ));
     }
-    // Whether the majority points out or in is for the centreline to say; here the minority follows.
+    // The centrelines decide later whether the majority points outward; here the minority is made to agree with it.
     let minority_is_turned = 2 * turns[largest] <= sizes[largest];
     let odd = turns[largest].min(sizes[largest] - turns[largest]);
     if odd > 0 {

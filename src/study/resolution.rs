@@ -1,4 +1,4 @@
-//! Resolution and iterations against error and time, on one recording whose truth is known: what the thesis leaves as
+//! Fitting error and time by resolution and iterations, on one recording whose truth is known: the thesis leaves this as
 //! future work.
 
 use crate::cylinders::CylinderReconstruction;
@@ -14,7 +14,7 @@ use std::path::Path;
 /// The settings to try: every combination of the three lists.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StudyGrid {
-    /// Nodes a ring.
+    /// Nodes per ring.
     pub nodes: Vec<u32>,
     /// Levels of faces.
     pub levels: Vec<u32>,
@@ -43,7 +43,7 @@ impl StudyGrid {
 /// One combination.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cell {
-    /// Nodes a ring.
+    /// Nodes per ring.
     pub nodes: u32,
     /// Levels of faces.
     pub levels: u32,
@@ -51,12 +51,12 @@ pub struct Cell {
     pub iterations: u32,
 }
 
-/// What one combination gave.
+/// The result of one combination.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StudyRow {
     /// Checksum of recording, truth and the settings that the grid does not change.
     pub inputs: String,
-    /// Nodes a ring.
+    /// Nodes per ring.
     pub nodes: u32,
     /// Levels of faces.
     pub levels: u32,
@@ -74,7 +74,7 @@ pub struct StudyRow {
     pub ms_per_cylinder: f64,
     /// The engine that was timed.
     pub engine: String,
-    /// Threads that it could use.
+    /// Threads available to it.
     pub threads: usize,
 }
 
@@ -141,10 +141,10 @@ impl<'a> Study<'a> {
         }
     }
 
-    /// Measures the combinations that `rows` lacks, one after another, and hands over all rows after each.
+    /// Measures the combinations that `rows` lacks, one after another, and calls `keep` with all rows after each.
     ///
     /// # Errors
-    /// As [`Study::measure`], and what `keep` says.
+    /// As [`Study::measure`], and those of `keep`.
     pub fn run(
         &self,
         grid: &StudyGrid,
@@ -217,7 +217,7 @@ fn check_ending(path: &Path) -> Result<()> {
     }
 }
 
-/// The rows that no other row beats in both error and time, fastest first, as indices.
+/// Indices of the rows that no other row surpasses in both error and time, fastest first.
 pub fn pareto_front(rows: &[StudyRow]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..rows.len()).collect();
     order.sort_by(|&a, &b| {

@@ -1,7 +1,12 @@
 //! Whole recordings.
 
+#[path = "../support/required.rs"]
+mod required;
+
+pub use required::shared;
+
 use crate::cylinders::{assert_all_agree, assert_same};
-use crate::device::{device, say};
+use crate::device::device;
 use crate::sections::recording;
 use lumenmesh::cylinders::merge::MergedVessel;
 use lumenmesh::cylinders::{CpuEngine, Engine, Job, Track, merged_frames};
@@ -10,21 +15,7 @@ use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Outliers, Settings, Statistic};
 use lumenmesh::surface::Surface;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
-
-/// A file of the recorded data; `None`, said loudly, where that data is not there.
-pub fn shared(path: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("LUMENMESH_SHARED").unwrap_or_else(|| "../shared".into());
-    let file = PathBuf::from(folder).join(path);
-    if file.exists() {
-        return Some(file);
-    }
-    let required = std::env::var("LUMENMESH_REQUIRE_DATA").is_ok_and(|value| value == "1");
-    assert!(!required, "{} is missing", file.display());
-    say(&format!("SKIPPED: {} is missing (LUMENMESH_SHARED names the data's folder)", file.display()));
-    None
-}
 
 #[test]
 fn a_recording_fits_as_on_the_cpu_with_every_rule_and_grid() {

@@ -324,9 +324,9 @@ fn the_commands_write_what_they_say() {
     let study = [&["study", "recording", "--truth", "wall.vtp", "--budget-ms", "1e6"], &grid[..]].concat();
     let (status, out, err) = run(&study);
     assert_eq!((status, err.as_str()), (0, ""));
-    assert!(out.contains("Best within 1000000 ms a cylinder"), "{out}");
+    assert!(out.contains("Best within 1000000 ms per cylinder"), "{out}");
     let (_, out, _) = run(&study);
-    assert!(out.contains("4 of 4 combinations were there already"), "{out}");
+    assert!(out.contains("4 of 4 combinations were in the file already"), "{out}");
     let (_, out, _) = run(&[&study[..], &["--json", "--plot", "study.svg"]].concat());
     let summary: serde_json::Value = serde_json::from_str(&out).unwrap();
     assert_eq!(summary["rows"].as_array().unwrap().len(), 4);

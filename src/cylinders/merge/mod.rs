@@ -33,7 +33,7 @@ pub struct MergedVessel {
 }
 
 impl MergedVessel {
-    /// The vessel of several cylinders, in the order in which they were seen.
+    /// Merges cylinders in the order in which they were recorded.
     pub fn of<'a>(cylinders: impl IntoIterator<Item = &'a FittedCylinder>, merge: Merge) -> Self {
         match merge {
             Merge::Stitch => {
@@ -57,7 +57,7 @@ impl MergedVessel {
         self.part(0..self.rings.len())
     }
 
-    /// Some rings of it.
+    /// The surface of a range of rings.
     pub(crate) fn part(&self, rings: Range<usize>) -> Surface {
         let rings = &self.rings[rings];
         let count = rings.first().map_or(0, |ring| ring.nodes_mm.len());

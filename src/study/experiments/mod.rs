@@ -1,7 +1,8 @@
-//! The experiments of the thesis (chapters 4 and 5) on a vessel that is known exactly.
+//! The experiments of the thesis (chapters 4 and 5) on a vessel of known geometry.
 //!
 //! One simulated insertion gives two recordings, with noise and without, and a second one without bending the tip a
-//! third; each is reconstructed and measured against the wall. [`Experiments`] holds every number that the report shows; [`DEFINITIONS`] says what they are.
+//! third; each is reconstructed and measured against the wall. [`Experiments`] holds every number that the report shows;
+//! [`DEFINITIONS`] defines them.
 
 mod primitive;
 mod series;
@@ -36,7 +37,7 @@ pub const DEFINITIONS: [(&str, &str); 5] = [
     ("merged", "mean over the nodes of the stitched mesh"),
 ];
 
-/// What to run.
+/// The plan of the experiments.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// What to call the vessel.
@@ -121,7 +122,7 @@ pub struct Thesis {
     pub frustum_mean_mm_after_3: f64,
 }
 
-/// What came out.
+/// The results.
 #[derive(Debug, Clone)]
 pub struct Outcome {
     /// The numbers. The same plan and vessel give the same ones, whatever the number of threads.
@@ -149,7 +150,7 @@ pub struct Seconds {
     pub total: f64,
 }
 
-/// Runs the experiments in a vessel. `tell(stage, done, all)` hears how far a stage is, from any thread.
+/// Runs the experiments in a vessel. `tell(stage, done, all)` is called with the progress of a stage, from any thread.
 ///
 /// # Errors
 /// Where the simulation, the reconstruction or the evaluation fails.
@@ -226,7 +227,7 @@ pub fn run(
     Ok(Outcome { experiments, noiseless_mesh, noisy_mesh, seconds })
 }
 
-/// What the probe saw, which is the same with noise and without.
+/// The part of the truth that the recording covers, the same with noise and without.
 fn coverage_of(simulation: &Simulation, truth: &Truth) -> Result<Coverage> {
     Coverage::of(&simulation.truth_recording, Pose::IDENTITY, truth.surface(), Coverage::WITHIN_MM)
 }

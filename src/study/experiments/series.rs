@@ -49,7 +49,7 @@ pub struct Merged {
     pub evaluation: Evaluation,
 }
 
-/// How some numbers are spread, mm. Quartiles by nearest rank.
+/// Distribution of some numbers, mm. Quartiles by nearest rank.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Spread {
     /// How many.
