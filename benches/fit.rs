@@ -7,6 +7,9 @@
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on stops there")]
 
+#[path = "../tests/support/data.rs"]
+mod data;
+
 use cpu_time::ProcessTime;
 use lumenmesh::cylinders::{CpuEngine, Engine, FitRequest, Track, merged_frames};
 use lumenmesh::recording::Recording;
@@ -38,9 +41,7 @@ fn median(values: &[f64]) -> f64 {
 }
 
 fn shared(name: &str) -> Option<PathBuf> {
-    let folder =
-        std::env::var_os("LUMENMESH_SHARED").map_or_else(|| PathBuf::from("../shared"), PathBuf::from);
-    let path = folder.join(name);
+    let path = data::shared_path(name);
     path.exists().then_some(path)
 }
 

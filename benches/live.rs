@@ -7,6 +7,9 @@
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on stops there")]
 
+#[path = "../tests/support/data.rs"]
+mod data;
+
 use cpu_time::ProcessTime;
 use lumenmesh::cylinders::CylinderReconstruction;
 use lumenmesh::cylinders::engine;
@@ -16,7 +19,6 @@ use lumenmesh::settings::{Method, Settings};
 use lumenmesh::simulate::{self, Insertion, Move, Phantom, Shape, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
-use std::path::PathBuf;
 use std::time::Instant;
 
 fn percentiles(mut values: Vec<f64>) -> String {
@@ -51,9 +53,7 @@ fn apart(surface: &Surface, other: &Surface) -> f64 {
 }
 
 fn recording(test: bool) {
-    let folder =
-        std::env::var_os("LUMENMESH_SHARED").map_or_else(|| PathBuf::from("../shared"), PathBuf::from);
-    let path = folder.join("recordings/adult_aorta_noisy.mat");
+    let path = data::shared_path("recordings/adult_aorta_noisy.mat");
     if !path.exists() {
         println!("L1 not measured on adult_aorta_noisy: no {}", path.display());
         return;
@@ -81,7 +81,7 @@ fn rest(frames: usize) {
         vec![Move::Advance { distance_mm: 30.0 }, Move::Bend { angle_deg: 20.0 }, Move::Rest { duration_s }];
     let insertion = Insertion { moves, repeat: false, ..Insertion::default() };
     let vessel = Phantom::from("cylinder".parse::<Shape>().unwrap()).vessel().unwrap();
-    let settings = simulate::Settings { insertion, ..simulate::Settings::default() };
+    let settings = simulate::SimulationSettings { insertion, ..simulate::SimulationSettings::default() };
     let simulation = Simulation::run(vessel, &settings).unwrap();
     for method in [Method::Cylinders, Method::Sweep] {
         let settings = Settings::default().with_method(method);

@@ -10,6 +10,10 @@
 //! Python with Open3D (default: `python3`); without it Poisson is not run. Exit status: 0 where the sweep's mean
 //! distance is at most 0.8 times Poisson's in every row, else 1.
 
+#[path = "../tests/support/data.rs"]
+mod data;
+
+use data::shared_path as shared;
 use glam::DVec3;
 use lumenmesh::Result;
 use lumenmesh::cylinders::CylinderReconstruction;
@@ -18,10 +22,12 @@ use lumenmesh::evaluate::{Distances, Locator, Truth, evaluate};
 use lumenmesh::output::write_atomically;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Backend, Merge, Settings};
-use lumenmesh::simulate::{self, Centreline, Insertion, Move, Noise, Phantom, Shape, Simulation, Vessel};
+use lumenmesh::simulate::{
+    self, Centreline, Insertion, Move, Noise, Phantom, Shape, SimulatedVessel, Simulation,
+};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, ExitCode};
 
 const TABLE: &str = "docs/accuracy.md";
@@ -173,10 +179,6 @@ fn rows() -> Vec<(String, Source)> {
     rows
 }
 
-fn shared(path: &str) -> PathBuf {
-    std::env::var_os("LUMENMESH_SHARED").map_or_else(|| "../shared".into(), PathBuf::from).join(path)
-}
-
 fn input(source: &Source) -> Result<Input> {
     match source {
         Source::Recorded(name) => Ok(Input {
@@ -190,7 +192,7 @@ fn input(source: &Source) -> Result<Input> {
                 Ok(shape) => Phantom::from(shape).vessel()?,
                 Err(_) => {
                     let centreline = shared(&format!("data/{vessel}_centreline.csv"));
-                    Vessel::new(Surface::read(&stl)?, Centreline::read_branches(&centreline)?)?
+                    SimulatedVessel::new(Surface::read(&stl)?, Centreline::read_branches(&centreline)?)?
                 }
             };
             let noise = match *noise_mm {
@@ -199,7 +201,8 @@ fn input(source: &Source) -> Result<Input> {
                     Noise { contour_sd_mm, position_sd_mm, seed: *seed, ..Noise::default() }
                 }
             };
-            let settings = simulate::Settings { insertion: way.insertion(), noise, ..Default::default() };
+            let settings =
+                simulate::SimulationSettings { insertion: way.insertion(), noise, ..Default::default() };
             let simulation = Simulation::run(vessel, &settings)?;
             Ok(Input {
                 recording: simulation.recording,

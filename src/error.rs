@@ -27,6 +27,14 @@ pub enum Error {
         /// What the system said.
         source: std::io::Error,
     },
+    /// Something other than a file could not be written, or an encoder failed.
+    #[error("{target}: cannot write: {source}")]
+    Output {
+        /// What was to be written: standard output, a picture, a figure.
+        target: &'static str,
+        /// What the system or the encoder said.
+        source: std::io::Error,
+    },
     /// A file's content is not what its format or its use asks for.
     #[error("{}: {}{field}: found {found}, expected {expected}", path.display(), frame_prefix(*frame))]
     #[non_exhaustive]

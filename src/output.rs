@@ -1,10 +1,10 @@
-//! Files appear whole or not at all.
+//! Files are written as a whole or not at all.
 
 use crate::{Error, Result};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-/// Writes `path` through a temporary neighbour that takes its name only once everything is on disk.
+/// Writes `path` through a temporary file beside it, which takes its name once everything is written.
 ///
 /// # Errors
 /// [`Error::Write`] where the folder cannot be written or `content` fails; `path` is then untouched.
@@ -17,7 +17,7 @@ pub fn write_atomically(
             Some(parent) if !parent.as_os_str().is_empty() => parent,
             _ => Path::new("."),
         };
-        // Otherwise the message would name the temporary file, by another name at every run.
+        // Otherwise the message would name the temporary file, whose name differs at every run.
         std::fs::metadata(folder)?;
         let mut file = tempfile::Builder::new().prefix(".lumenmesh-").suffix(".tmp").tempfile_in(folder)?;
         let mut buffered = BufWriter::with_capacity(1 << 16, file.as_file_mut());

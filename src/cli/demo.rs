@@ -5,7 +5,7 @@ use crate::evaluate::{Coverage, Evaluation, Truth, evaluate_covered};
 use crate::output::write_atomically;
 use crate::reconstruction::LumenReport;
 use crate::report::render::{Style, render};
-use crate::report::{Subject, html};
+use crate::report::{PageContent, html};
 use crate::settings::Settings;
 use crate::simulate::{self, Insertion, Phantom, Shape, Simulation};
 use crate::{Error, Result};
@@ -40,7 +40,7 @@ pub(super) struct Arguments {
 struct Summary<'a> {
     seed: u64,
     files: &'a [PathBuf],
-    simulation: &'a simulate::Settings,
+    simulation: &'a simulate::SimulationSettings,
     settings: &'a Settings,
     reconstruction: LumenReport<'a>,
     evaluation: &'a Evaluation,
@@ -51,8 +51,10 @@ impl Arguments {
         let settings = self.settings.settings()?;
         std::fs::create_dir_all(&self.out)
             .map_err(|source| Error::Write { path: self.out.clone(), source })?;
-        let mut simulation_settings =
-            simulate::Settings { insertion: Insertion::steady(), ..simulate::Settings::default() };
+        let mut simulation_settings = simulate::SimulationSettings {
+            insertion: Insertion::steady(),
+            ..simulate::SimulationSettings::default()
+        };
         simulation_settings.noise.seed = self.seed;
 
         let vessel = Phantom::from(Shape::Aorta).vessel()?;
@@ -78,7 +80,7 @@ impl Arguments {
         truth.surface().write(&file("truth.vtp"))?;
         mesh.write(&file("vessel.vtp"))?;
         render(&mesh, &style)?.write(&file("vessel.png"))?;
-        let page = html(&Subject {
+        let page = html(&PageContent {
             title: "lumenmesh demo: a simulated adult aorta",
             recording,
             lumen: &lumen,

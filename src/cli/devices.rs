@@ -81,7 +81,7 @@ fn print_adapter(adapter: &AdapterDescription) {
     println!("  backend    {}, driver {}", adapter.backend, adapter.driver);
     let [buffer, binding] = [adapter.max_buffer_bytes, adapter.max_storage_binding_bytes].map(mebibytes);
     println!(
-        "  memory     {buffer} MiB a buffer, {binding} MiB a binding ({} million points)",
+        "  memory     {buffer} MiB per buffer, {binding} MiB per binding ({} million points)",
         points(adapter)
     );
     println!(

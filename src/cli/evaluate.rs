@@ -1,3 +1,4 @@
+use super::print_json;
 use crate::evaluate::{
     Coverage, DEFINITIONS, Distances, Evaluation, Region, Truth, Volumes, evaluate, evaluate_covered,
 };
@@ -71,9 +72,9 @@ struct Report<'a> {
     #[serde(flatten)]
     evaluation: &'a Evaluation,
     volumes: Option<Volumes>,
-    /// Why there are none.
+    /// Why they are missing.
     #[serde(skip_serializing_if = "Option::is_none")]
-    no_volumes: Option<&'a str>,
+    no_volumes: Option<String>,
     regions: &'a [Region],
     definitions: BTreeMap<&'a str, &'a str>,
 }
@@ -103,13 +104,11 @@ impl Arguments {
                 truth: &self.truth,
                 evaluation: &evaluation,
                 volumes: volumes.as_ref().ok().copied(),
-                no_volumes: volumes.as_ref().err().map(String::as_str),
+                no_volumes: volumes.as_ref().err().map(Error::to_string),
                 regions: &regions,
                 definitions,
             };
-            let text = serde_json::to_string_pretty(&report)
-                .map_err(|e| Error::Write { path: "standard output".into(), source: e.into() })?;
-            println!("{text}");
+            print_json(&report)?;
         } else {
             self.print(&evaluation, &volumes, &regions);
         }
@@ -139,10 +138,10 @@ impl Arguments {
             let expected = format!("below {}, the number of branches", branches.len());
             return Err(Error::input(path, "branch", self.branch, expected));
         };
-        Region::along(branch, self.region, &mesh.nodes_mm, &evaluation.signed_error_mm)
+        Region::along(&branch.every_mm(), self.region, &mesh.nodes_mm, &evaluation.signed_error_mm)
     }
 
-    fn print(&self, evaluation: &Evaluation, volumes: &Result<Volumes, String>, regions: &[Region]) {
+    fn print(&self, evaluation: &Evaluation, volumes: &Result<Volumes>, regions: &[Region]) {
         let forth = &evaluation.mesh_to_truth;
         println!("mesh   {}", self.mesh.display());
         println!("truth  {}", self.truth.display());
@@ -174,10 +173,10 @@ impl Arguments {
             Err(why) => println!("{:<22}not comparable: {why}", "volume, mm³"),
         }
         println!();
-        // A side branch that no frame saw is near the trunk's mesh, which the rim cannot tell.
+        // The rule by the rim counts a side branch without frames as covered, because the trunk's mesh is near it.
         let doubt = match self.recording {
             Some(_) => "",
-            None => "; on branched vessels --recording knows better",
+            None => "; for branched vessels, --recording gives a better rule",
         };
         println!("truth→mesh counts nodes of the truth where {}{doubt}.", evaluation.covered_rule);
         if !regions.is_empty() {

@@ -6,7 +6,7 @@ use crate::study::experiments::{DEFINITIONS, Plan, run};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// Repeat the thesis's experiments on a vessel that is known exactly
+/// Repeat the thesis's experiments on a vessel of known geometry
 ///
 /// One simulated insertion, with noise and without, is reconstructed by the published method and measured against
 /// the wall: Tables 1 to 7 and Figures 29 to 36, the thesis's numbers beside ours as far as they are at hand.
@@ -22,7 +22,7 @@ gives the same file on any number of threads), timings.json and the merged meshe
 pub(super) struct Arguments {
     #[command(flatten)]
     vessel: VesselArguments,
-    /// Folder to write to; made if it is not there
+    /// Folder to write to; created if missing
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Only the first 60 mm, with fewer rays: a check, not for comparison
@@ -31,7 +31,7 @@ pub(super) struct Arguments {
     /// Go through this branch of the vessel, counted from 0
     #[arg(long, value_name = "N", default_value_t = 0)]
     branch: usize,
-    /// Where the random numbers start from
+    /// Seed of the random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Print the numbers as JSON instead of tables
@@ -42,7 +42,7 @@ pub(super) struct Arguments {
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         let (name, vessel) = self.vessel.vessel(None)?;
-        // Where the file lies is no part of the results.
+        // The folder of the file is not part of the results.
         let name = Path::new(&name).file_name().map_or_else(|| name.clone(), |n| n.to_string_lossy().into());
         let mut plan = Plan::new(name, self.seed);
         plan.simulation.insertion.branch = self.branch;

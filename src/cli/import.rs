@@ -1,7 +1,7 @@
 use crate::Result;
 use crate::cylinders::estimate::{CylinderEstimator, Upright};
 use crate::geometry::Pose;
-use crate::recording::{Centreline, Pullback, Summary};
+use crate::recording::{Pullback, PullbackPath, Summary};
 use glam::DVec2;
 use std::path::PathBuf;
 
@@ -17,11 +17,11 @@ enum Source {
     Pullback(PullbackArguments),
 }
 
-/// Contours of an untracked pullback: poses are assumed along a line
+/// Import contours of an untracked pullback; poses are assumed along a line
 ///
 /// The file has one line per wall point: frame number, x, y in the image and pullback position z, all in mm,
 /// separated by tabs, semicolons or commas, with or without column names. Frames are sorted by z and renumbered
-/// from 0. Roll about the catheter was not measured and is taken as constant.
+/// from 0. The roll about the catheter was not measured and is assumed constant.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  lumenmesh import pullback contours.csv -o pullback.mat --upright\n  \
     lumenmesh import pullback contours.csv -o pullback --centreline vessel.csv --centre 4.5,4.5")]
@@ -37,7 +37,7 @@ struct PullbackArguments {
     /// The probe in the image, mm [default: mean of the contours' centroids]
     #[arg(long, value_name = "X,Y", value_parser = point, allow_hyphen_values = true)]
     centre: Option<DVec2>,
-    /// Give every frame a cylinder that stands upright on it, about its contour's centroid
+    /// Give every frame a cylinder perpendicular to it, about its contour's centroid
     #[arg(long)]
     upright: bool,
     /// Print JSON instead of text
@@ -63,7 +63,7 @@ impl Arguments {
 
 impl PullbackArguments {
     fn run(self) -> Result<()> {
-        let centreline = self.centreline.as_deref().map(Centreline::read).transpose()?;
+        let centreline = self.centreline.as_deref().map(PullbackPath::read).transpose()?;
         let mut pullback = Pullback::read(&self.contours, self.centre, centreline.as_ref())?;
         if self.upright {
             let mut upright = Upright { sensor_from_probe: Pose::IDENTITY };

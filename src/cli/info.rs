@@ -2,9 +2,9 @@ use crate::Result;
 use crate::recording::{Recording, Summary};
 use std::path::PathBuf;
 
-/// Show what is in a recording
+/// Show a summary of a recording
 ///
-/// Frames that no reconstruction can use are listed, not refused: the first ten of each kind.
+/// Frames that no reconstruction can use are listed and not refused: the first ten of each kind.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  lumenmesh info pullback.mat\n  lumenmesh info recording_folder --json")]
 pub(super) struct Arguments {

@@ -91,19 +91,19 @@ pub fn main() -> ExitCode {
 /// Prints a value as JSON on stdout.
 fn print_json(value: &impl serde::Serialize) -> Result<()> {
     let text = serde_json::to_string_pretty(value)
-        .map_err(|e| Error::Write { path: "stdout".into(), source: e.into() })?;
+        .map_err(|e| Error::Output { target: "stdout", source: e.into() })?;
     println!("{text}");
     Ok(())
 }
 
-/// Writes to stdout, or ends the process where that cannot be done: quietly where the reader has seen enough, as
-/// `head` does, else with status 1.
+/// Writes to stdout, or ends the process where that fails: silently where the reader has closed the pipe, as `head` does,
+/// else with status 1.
 fn say(text: std::fmt::Arguments) {
     match std::io::Write::write_fmt(&mut std::io::stdout().lock(), text) {
         Ok(()) => {}
         Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
         Err(source) => {
-            eprintln!("lumenmesh: {}", Error::Write { path: "stdout".into(), source });
+            eprintln!("lumenmesh: {}", Error::Output { target: "stdout", source });
             std::process::exit(1);
         }
     }

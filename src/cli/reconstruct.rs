@@ -1,6 +1,6 @@
 use super::settings::SettingsArguments;
 use super::{print_json, progress};
-use crate::cylinders::{Report, write_cylinders};
+use crate::cylinders::{CylindersReport, write_cylinders};
 use crate::engine::EngineDescription;
 use crate::reconstruction::{Lumen, LumenReport, Reconstructor};
 use crate::recording::Recording;
@@ -170,8 +170,8 @@ fn print_engine(engine: &EngineDescription, threads: usize) {
 }
 
 /// The report of cylinders for people.
-fn print_cylinders(report: &Report) {
-    let Report { points, seconds, .. } = report;
+fn print_cylinders(report: &CylindersReport) {
+    let CylindersReport { points, seconds, .. } = report;
     print_engine(&report.engine, report.threads);
     print!("frames     {}, {} cylinders fitted", report.frames, report.cylinders);
     match report.estimated_cylinders {

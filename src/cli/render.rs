@@ -22,7 +22,7 @@ pub(super) struct Arguments {
     /// Values at both ends of the colour bar [default: those of the array, at most 10 times their mean]
     #[arg(long, value_name = "LOW,HIGH", value_parser = range, allow_hyphen_values = true, requires = "array")]
     range: Option<[f64; 2]>,
-    /// Where to look from
+    /// Direction of view
     #[arg(long, value_enum, default_value = "three")]
     view: View,
     /// Size of the picture in pixels

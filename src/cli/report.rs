@@ -4,7 +4,7 @@ use super::settings::SettingsArguments;
 use crate::evaluate::{Coverage, Truth, evaluate_covered};
 use crate::output::{ending, write_atomically};
 use crate::recording::Recording;
-use crate::report::{Subject, html};
+use crate::report::{PageContent, html};
 use crate::surface::Surface;
 use crate::{Error, Result};
 use std::path::PathBuf;
@@ -57,7 +57,7 @@ impl Arguments {
             .recording
             .file_name()
             .map_or_else(|| self.recording.display().to_string(), |name| name.to_string_lossy().into_owned());
-        let page = html(&Subject {
+        let page = html(&PageContent {
             title: &format!("Reconstruction of {name}"),
             recording: &recording,
             lumen: &lumen,

@@ -145,7 +145,7 @@ impl Arguments {
         if 2 * known < numbers.len() {
             eprintln!(
                 "lumenmesh: warning: {}: values for {known} of the recording's {} frames: does it number them \
-                 otherwise (see --numbers)?",
+                 differently (see --numbers)?",
                 table.display(),
                 numbers.len()
             );
@@ -159,7 +159,7 @@ impl Arguments {
     }
 }
 
-/// Over the frames that the table has; one that the mesh has no area for counts as off without bound.
+/// Over the frames of the table; the difference of a frame without an area counts as infinite.
 fn median_absolute_difference(lines: &[Line]) -> Option<f64> {
     let size = |d: f64| if d.is_nan() { f64::INFINITY } else { d.abs() };
     let mut differences: Vec<f64> = lines.iter().filter_map(|l| l.difference_percent).map(size).collect();
@@ -170,29 +170,35 @@ fn median_absolute_difference(lines: &[Line]) -> Option<f64> {
 
 fn write_csv(lines: &[Line], path: &Path) -> Result<()> {
     write_atomically(path, |out| {
-        writeln!(
-            out,
-            "frame,area_mm2,perimeter_mm,least_diameter_mm,greatest_diameter_mm,equivalent_diameter_mm,\
-             number,against_mm2,difference_percent,remark"
-        )?;
+        let mut table = csv::Writer::from_writer(out);
+        table.write_record([
+            "frame",
+            "area_mm2",
+            "perimeter_mm",
+            "least_diameter_mm",
+            "greatest_diameter_mm",
+            "equivalent_diameter_mm",
+            "number",
+            "against_mm2",
+            "difference_percent",
+            "remark",
+        ])?;
         for line in lines {
             let s = &line.section;
             let cell = |value: Option<f64>| value.map_or(String::new(), |v| v.to_string());
-            writeln!(
-                out,
-                "{},{},{},{},{},{},{},{},{},{}",
-                s.frame,
-                s.area_mm2,
-                s.perimeter_mm,
-                s.least_diameter_mm,
-                s.greatest_diameter_mm,
-                s.equivalent_diameter_mm,
+            table.write_record([
+                s.frame.to_string(),
+                s.area_mm2.to_string(),
+                s.perimeter_mm.to_string(),
+                s.least_diameter_mm.to_string(),
+                s.greatest_diameter_mm.to_string(),
+                s.equivalent_diameter_mm.to_string(),
                 line.number.map_or(String::new(), |n| n.to_string()),
                 cell(line.against_mm2),
                 cell(line.difference_percent),
-                s.remark.as_deref().unwrap_or_default()
-            )?;
+                s.remark.clone().unwrap_or_default(),
+            ])?;
         }
-        Ok(())
+        table.flush()
     })
 }

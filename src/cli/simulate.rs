@@ -1,14 +1,14 @@
 use super::vessel::VesselArguments;
 use super::{print_json, progress};
 use crate::simulate::{
-    Centreline, Insertion, Noise, Phantom, Probe, ReducedBend, Settings, Simulation, TrackerNoise,
+    Centreline, Insertion, Noise, Phantom, Probe, ReducedBend, Simulation, SimulationSettings, TrackerNoise,
 };
 use crate::surface;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Simulate a recording in a vessel that is known exactly
+/// Simulate a recording in a vessel of known geometry
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh simulate -o recording/
@@ -58,7 +58,7 @@ pub(super) struct Arguments {
 
 /// The commonest settings as flags; a settings file has them all.
 #[derive(clap::Args)]
-#[command(next_help_heading = "Settings")]
+#[command(next_help_heading = "SimulationSettings")]
 struct SettingsArguments {
     /// Read settings from a TOML file; flags override it
     #[arg(long, value_name = "FILE")]
@@ -66,13 +66,13 @@ struct SettingsArguments {
     /// Go through this branch of the vessel, counted from 0 [default: 0]
     #[arg(long, value_name = "N")]
     branch: Option<usize>,
-    /// Go straight on, without bending the tip
+    /// Only advance, without bending the tip
     #[arg(long)]
     steady: bool,
-    /// Start so far along the centreline, mm [default: 5]
+    /// Start at this length along the centreline, mm [default: 5]
     #[arg(long, value_name = "MM")]
     start: Option<f64>,
-    /// Stop so far along the centreline, mm [default: 5 before its end]
+    /// Stop at this length along the centreline, mm [default: 5 before its end]
     #[arg(long, value_name = "MM")]
     end: Option<f64>,
     /// Rays per frame [default: 90]
@@ -84,10 +84,10 @@ struct SettingsArguments {
     /// Give every frame its local cylinder
     #[arg(long)]
     cylinders: bool,
-    /// Where the random numbers start from [default: 1]
+    /// Seed of the random numbers [default: 1]
     #[arg(long)]
     seed: Option<u64>,
-    /// Noise to start from: the thesis's levels or none [default: thesis]
+    /// Levels of noise: the thesis's or none [default: thesis]
     #[arg(long, value_enum)]
     noise: Option<Level>,
     /// Tracked position: standard deviation in each axis, mm [default: 0.3]
@@ -105,10 +105,10 @@ struct SettingsArguments {
     /// Contour points: standard deviation in x and in y, mm [default: 1]
     #[arg(long, value_name = "MM")]
     contour_noise: Option<f64>,
-    /// Chance of a ray to lose its echo [default: 0]
+    /// Probability that a ray loses its echo [default: 0]
     #[arg(long, value_name = "P")]
     dropouts: Option<f64>,
-    /// Chance of a ray to bring a wrong echo [default: 0]
+    /// Probability that a ray has a wrong echo [default: 0]
     #[arg(long, value_name = "P")]
     spikes: Option<f64>,
     /// Drift of the tracked position, mm per square root of a second [default: 0]
@@ -155,7 +155,7 @@ struct Summary<'a> {
     repairs: &'a [String],
     reduced_bends: &'a [ReducedBend],
     tracker: &'a Option<TrackerNoise>,
-    settings: &'a Settings,
+    settings: &'a SimulationSettings,
     truth: &'a Option<PathBuf>,
     truth_centreline: &'a Option<PathBuf>,
     truth_recording: &'a Option<PathBuf>,
@@ -168,7 +168,7 @@ impl Arguments {
         }
         let config = self.settings.config()?;
         let (name, vessel) = self.vessel.vessel(config.vessel)?;
-        let mut settings = Settings {
+        let mut settings = SimulationSettings {
             insertion: config.insertion,
             probe: config.probe,
             noise: config.noise,
@@ -238,14 +238,14 @@ impl SettingsArguments {
             .map_err(|e| Error::input(path, "settings", e.to_string().trim_end(), "settings as TOML"))
     }
 
-    /// Puts the flags on top of the settings; says what was measured of a tracker, if anything was.
-    fn override_settings(&self, settings: &mut Settings) -> Result<Option<TrackerNoise>> {
+    /// Overrides the settings by the flags; returns the measured noise of a tracker, if one was asked for.
+    fn override_settings(&self, settings: &mut SimulationSettings) -> Result<Option<TrackerNoise>> {
         fn set<T: Copy>(field: &mut T, flag: Option<T>) {
             if let Some(value) = flag {
                 *field = value;
             }
         }
-        let Settings { insertion, probe, noise, cylinders } = settings;
+        let SimulationSettings { insertion, probe, noise, cylinders } = settings;
         set(&mut insertion.branch, self.branch);
         if self.steady {
             insertion.moves = Insertion::steady().moves;
@@ -305,7 +305,7 @@ impl Summary<'_> {
         }
         println!("frames     {} at {} Hz, {:.1} s", self.frames, insertion.frame_rate_hz, self.duration_s);
         println!(
-            "echoes     {} recorded, {} missing, {} rays a frame",
+            "echoes     {} recorded, {} missing, {} rays per frame",
             self.echoes, self.missing_echoes, self.rays
         );
         println!(

@@ -5,15 +5,15 @@ use crate::output::write_atomically;
 use crate::recording::Recording;
 use crate::report::{Table, study_plot};
 use crate::settings::{Backend, Settings};
-use crate::study::resolution::{Grid, Row, Study, best_within, pareto_front, write};
+use crate::study::resolution::{Study, StudyGrid, StudyRow, best_within, pareto_front, write};
 use crate::surface::Surface;
 use crate::{Error, Result};
 use std::path::PathBuf;
 
-/// Find the resolution and the iterations that a recording is worth
+/// Find the resolution and the number of iterations that suit a recording
 ///
 /// Every combination is reconstructed and measured against the truth: error against time, the Pareto front, and the
-/// best setting within a time budget. With -o, results are kept row by row: an interrupted study goes on where it was.
+/// best setting within a time budget. With -o, results are saved row by row, and an interrupted study continues where it stopped.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh study recording/ --truth wall.vtp
@@ -26,10 +26,10 @@ pub(super) struct Arguments {
     /// The vessel's wall
     #[arg(long, value_name = "SURFACE")]
     truth: PathBuf,
-    /// Nodes a ring
+    /// Nodes per ring
     #[arg(long, value_name = "N,N,…", value_delimiter = ',', default_values_t = [12, 24, 48])]
     nodes: Vec<u32>,
-    /// Levels of faces a cylinder
+    /// Levels of faces per cylinder
     #[arg(long, value_name = "L,L,…", value_delimiter = ',', default_values_t = [5, 8])]
     levels: Vec<u32>,
     /// Iterations of the fit
@@ -47,7 +47,7 @@ pub(super) struct Arguments {
     /// Runs of each combination; the median time counts
     #[arg(long, value_name = "COUNT", default_value_t = 3)]
     repeats: usize,
-    /// The other settings, from a TOML file
+    /// All other settings, from a TOML file
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Where it is computed; all combinations in one place, so that their times compare
@@ -69,7 +69,7 @@ impl Arguments {
             let ending = crate::output::ending(path);
             return Err(Error::UnknownEnding { path: path.into(), ending, expected: ".svg" });
         }
-        let grid = Grid {
+        let grid = StudyGrid {
             nodes: self.nodes.clone(),
             levels: self.levels.clone(),
             iterations: self.iterations.clone(),
@@ -86,7 +86,7 @@ impl Arguments {
             Some(path) => study.read(path)?,
             None => Vec::new(),
         };
-        let known = |rows: &[Row]| cells.iter().filter(|&&c| rows.iter().any(|r| r.cell() == c)).count();
+        let known = |rows: &[StudyRow]| cells.iter().filter(|&&c| rows.iter().any(|r| r.cell() == c)).count();
         let resumed = known(&rows);
 
         let engine = engine(&settings)?;
@@ -99,7 +99,7 @@ impl Arguments {
         bar.finish_and_clear();
         done.map_err(|e| e.in_file(&self.recording))?;
 
-        // What an earlier grid left in the file is kept there and left out here.
+        // Rows of an earlier grid stay in the file and are left out here.
         rows.retain(|row| cells.contains(&row.cell()));
         let front = pareto_front(&rows);
         let best = self.budget_ms.map(|budget| best_within(&rows, budget));
@@ -118,16 +118,18 @@ impl Arguments {
         }
         let mut text = table(&rows, &front).to_string();
         if resumed > 0 {
-            text += &format!("{resumed} of {} combinations were there already.\n", cells.len());
+            text += &format!("{resumed} of {} combinations were in the file already.\n", cells.len());
         }
         match (self.budget_ms, best.flatten()) {
             (Some(budget), Some(row)) => {
                 text += &format!(
-                    "Best within {budget} ms a cylinder: {} nodes, {} levels, {} iterations: {:.4} mm in {:.3} ms.\n",
+                    "Best within {budget} ms per cylinder: {} nodes, {} levels, {} iterations: {:.4} mm in {:.3} ms.\n",
                     row.nodes, row.levels, row.iterations, row.mean_mm, row.ms_per_cylinder
                 );
             }
-            (Some(budget), None) => text += &format!("Nothing takes at most {budget} ms a cylinder.\n"),
+            (Some(budget), None) => {
+                text += &format!("No combination takes at most {budget} ms per cylinder.\n")
+            }
             (None, _) => (),
         }
         for path in self.output.iter().chain(&self.plot) {
@@ -138,7 +140,7 @@ impl Arguments {
     }
 }
 
-fn table(rows: &[Row], front: &[usize]) -> Table {
+fn table(rows: &[StudyRow], front: &[usize]) -> Table {
     let cells = rows.iter().enumerate().map(|(i, row)| {
         vec![
             format!("{} × {}, {}", row.nodes, row.levels, row.iterations),
@@ -150,7 +152,7 @@ fn table(rows: &[Row], front: &[usize]) -> Table {
         ]
     });
     let head =
-        ["nodes × levels, iterations", "mean (mm)", "median (mm)", "95 % (mm)", "ms a cylinder", "front"];
+        ["nodes × levels, iterations", "mean (mm)", "median (mm)", "95 % (mm)", "ms per cylinder", "front"];
     let threads = rows.first().map_or(0, |row| row.threads);
     Table {
         title: "Fitting error (nodes of the stitched mesh to the truth) and time".into(),

@@ -1,10 +1,10 @@
 use crate::output;
-use crate::simulate::{Centreline, Phantom, Shape, Vessel};
+use crate::simulate::{Centreline, Phantom, Shape, SimulatedVessel};
 use crate::surface::Surface;
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// Which vessel to simulate in.
+/// The vessel to simulate in.
 #[derive(clap::Args)]
 pub(super) struct VesselArguments {
     /// A phantom (aorta, cylinder, frustum, arch, small_arch, stenosis, aneurysm, ellipse,
@@ -18,8 +18,8 @@ pub(super) struct VesselArguments {
 }
 
 impl VesselArguments {
-    /// The vessel, and what to call it. The flag goes before a configured phantom.
-    pub fn vessel(&self, configured: Option<Phantom>) -> Result<(String, Vessel)> {
+    /// The vessel and its name. The flag takes precedence over a configured phantom.
+    pub fn vessel(&self, configured: Option<Phantom>) -> Result<(String, SimulatedVessel)> {
         let flag = self.vessel.as_deref();
         match flag.map(Path::new) {
             Some(path) if !output::ending(path).is_empty() => {
@@ -31,7 +31,7 @@ impl VesselArguments {
                     });
                 };
                 let surface = Surface::read(path)?;
-                let vessel = Vessel::new(surface, Centreline::read_branches(centreline)?)?;
+                let vessel = SimulatedVessel::new(surface, Centreline::read_branches(centreline)?)?;
                 Ok((path.display().to_string(), vessel))
             }
             _ => {

@@ -3,27 +3,26 @@
 use super::Track;
 use super::estimate::LocalEstimate;
 use super::fit::{Engine, FitRequest, engine};
-use super::merge::Vessel;
+use super::merge::MergedVessel;
 use crate::recording::Frame;
 use crate::settings::{Merge, Settings};
 use crate::{Error, Result};
 use std::ops::Range;
 
-/// Frames that a cylinder looks at in one place, the newest: within [`REST_MM`] of a frame's centre older ones are
-/// forgotten.
+/// Newest frames that are kept within [`REST_MM`] of a frame's centre; older ones are dropped.
 pub(crate) const MAX_FRAMES_AT_REST: usize = 512;
 /// Radius of such a place, mm.
 pub(crate) const REST_MM: f64 = 2.0;
 
-/// Frames, and the vessel of their cylinders.
+/// The track and the vessel while frames arrive.
 pub(crate) struct LiveCylinders {
     settings: Settings,
     engine: Box<dyn Engine>,
     track: Track,
-    pub vessel: Vessel,
+    pub vessel: MergedVessel,
 }
 
-/// What a frame did to the vessel.
+/// Changes of the vessel through one frame.
 #[derive(Debug, Default)]
 pub(crate) struct Step {
     /// Rings that changed.
@@ -49,14 +48,14 @@ impl LiveCylinders {
             settings: settings.clone(),
             engine: engine(settings)?,
             track: Track::new(sensor_from_probe, Box::new(estimator)),
-            vessel: Vessel::default(),
+            vessel: MergedVessel::default(),
         })
     }
 
-    /// Takes a frame; every `every`-th brings a cylinder.
+    /// Appends a frame; every `every`-th one adds a cylinder.
     pub fn push(&mut self, frame: &Frame) -> Result<Step> {
         self.track.push(frame)?;
-        self.track.forget_rest(REST_MM, MAX_FRAMES_AT_REST);
+        self.track.drop_oldest_near(REST_MM, MAX_FRAMES_AT_REST);
         let count = self.track.len();
         if !count.is_multiple_of(self.settings.every as usize) {
             return Ok(Step::default());

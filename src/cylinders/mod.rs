@@ -25,7 +25,7 @@ use crate::output::write_atomically;
 use crate::recording::Recording;
 use crate::settings::Settings;
 use crate::{Error, Result};
-use merge::Vessel;
+use merge::MergedVessel;
 use serde::Serialize;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -38,15 +38,15 @@ pub struct CylinderReconstruction {
     /// The deformed cylinders of the merged frames.
     pub cylinders: Vec<FittedCylinder>,
     /// The vessel.
-    pub vessel: Vessel,
+    pub vessel: MergedVessel,
     /// What was done, in numbers.
-    pub report: Report,
+    pub report: CylindersReport,
 }
 
 /// A reconstruction by cylinders in numbers.
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
-pub struct Report {
+pub struct CylindersReport {
     /// The engine that fitted the cylinders.
     pub engine: EngineDescription,
     /// Threads that the CPU part could use.
@@ -68,7 +68,7 @@ pub struct Report {
     /// Mean |travel| of the nodes in each iteration, over all cylinders, mm.
     pub mean_travel_mm: Vec<f64>,
     /// How long each stage took.
-    pub seconds: StageSeconds,
+    pub seconds: CylindersTimings,
 }
 
 /// Where the points went. A point can lie in the sections of several cylinders and counts in each.
@@ -90,7 +90,7 @@ pub struct PointCounts {
 /// Wall-clock time of each stage, in seconds.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 #[non_exhaustive]
-pub struct StageSeconds {
+pub struct CylindersTimings {
     /// Placing the frames in the world, with the estimate of cylinders where there are none.
     pub track: f64,
     /// Fitting the cylinders.
@@ -142,7 +142,7 @@ impl CylinderReconstruction {
         let fit_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
-        let vessel = Vessel::of(&cylinders, settings.merge);
+        let vessel = MergedVessel::of(&cylinders, settings.merge);
         let merge_seconds = start.elapsed().as_secs_f64();
 
         if vessel.rings.len() < 2 {
@@ -156,7 +156,7 @@ impl CylinderReconstruction {
         let nodes: usize = vessel.rings.iter().map(|r| r.nodes_mm.len()).sum();
         let sum = |of: &dyn Fn(&FittedCylinder) -> u64| cylinders.iter().map(of).sum::<u64>();
         let rejected = sum(&|c| c.tube.rejected);
-        let report = Report {
+        let report = CylindersReport {
             engine: engine.describe(),
             threads: rayon::current_num_threads(),
             frames: track.len(),
@@ -175,7 +175,7 @@ impl CylinderReconstruction {
             mean_travel_mm: (0..settings.iterations as usize)
                 .map(|i| cylinders.iter().map(|c| c.tube.travel_mm[i]).sum::<f64>() / cylinders.len() as f64)
                 .collect(),
-            seconds: StageSeconds { track: track_seconds, fit: fit_seconds, merge: merge_seconds },
+            seconds: CylindersTimings { track: track_seconds, fit: fit_seconds, merge: merge_seconds },
         };
         Ok(Self { cylinders, vessel, report })
     }
@@ -188,16 +188,18 @@ impl CylinderReconstruction {
 /// [`Error::Write`].
 pub fn write_cylinders(cylinders: &[FittedCylinder], path: &Path) -> Result<()> {
     write_atomically(path, |out| {
-        writeln!(out, "frame,iteration,ring,node,radius_mm")?;
+        let mut table = csv::Writer::from_writer(out);
+        table.write_record(["frame", "iteration", "ring", "node", "radius_mm"])?;
         for cylinder in cylinders {
             let count = cylinder.tube.tube.nodes;
             for (iteration, radii) in cylinder.tube.history_mm.iter().enumerate() {
                 for (index, radius) in radii.iter().enumerate() {
-                    let (ring, node) = (index / count, index % count);
-                    writeln!(out, "{},{iteration},{ring},{node},{radius:.12}", cylinder.frame)?;
+                    let numbers = [cylinder.frame, iteration, index / count, index % count];
+                    let numbers = numbers.map(|number| number.to_string());
+                    table.write_record(numbers.iter().chain([&format!("{radius:.12}")]))?;
                 }
             }
         }
-        Ok(())
+        table.flush()
     })
 }

@@ -9,38 +9,38 @@ use glam::{DVec2, DVec3, I64Vec3};
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 
-/// Frames placed in the world, in the order in which they came: what a fit draws its points from.
+/// Frames placed in the world, in the order of their arrival: the source of the points of every fit.
 ///
-/// Appending a frame touches nothing that is already there, and a cylinder uses its own frame and earlier
-/// ones only, so a cylinder can be asked for while the catheter still moves.
+/// Appending a frame does not change earlier ones, and a cylinder uses only its own frame and earlier ones, so that
+/// cylinders can be fitted while the catheter still moves.
 pub struct Track {
     sensor_from_probe: Pose,
     estimator: Box<dyn CylinderEstimator + Send + Sync>,
-    /// By number, without those that were forgotten.
+    /// By number, without dropped frames.
     frames: BTreeMap<usize, PlacedFrame>,
-    /// How many came.
+    /// Number of frames that were appended.
     count: usize,
     estimated: usize,
     places: HashMap<Option<I64Vec3>, Place>,
     echoes_mm: Vec<DVec2>,
-    /// How many of them belong to frames that were not forgotten.
+    /// Number of echoes of frames that were not dropped.
     kept: usize,
     missing: u64,
 }
 
 /// Edge of a [`Place`], mm.
 const PLACE_MM: f64 = 8.0;
-/// Echoes of forgotten frames that it takes to be worth tidying up.
-const LEAST_WASTE: usize = 100_000;
-/// Farther out, and for larger frames, there is one place for all, mm.
-const FARTHEST_MM: f64 = 1e6;
+/// Echoes of dropped frames that may stay in the store before it is compacted.
+const MIN_WASTE: usize = 100_000;
+/// Frames whose centre or size exceeds this share one place, mm.
+const MAX_DISTANCE_MM: f64 = 1e6;
 
 /// The frames whose centres lie in one cube of the world.
 #[derive(Debug, Default)]
 struct Place {
     /// Their numbers, ascending.
     frames: Vec<usize>,
-    /// The largest [`PlacedFrame::reach_mm`] that was there.
+    /// Largest [`PlacedFrame::reach_mm`] of the frames that were placed there.
     reach_mm: f64,
 }
 
@@ -52,7 +52,7 @@ struct PlacedFrame {
     cylinder: Option<PlacedCylinder>,
     /// Its wall points in the track's store.
     echoes: Range<usize>,
-    /// A circle in the probe's plane that holds all its points, as a sphere in the world.
+    /// Centre and radius of a circle in the probe's plane that holds all points of the frame; a sphere in the world.
     centre_in_probe_mm: DVec3,
     reach_mm: f64,
 }
@@ -65,7 +65,7 @@ impl PlacedFrame {
     /// The place it lies in.
     fn place(&self) -> Option<I64Vec3> {
         let centre = self.centre_mm();
-        (self.reach_mm < FARTHEST_MM && centre.abs().max_element() < FARTHEST_MM)
+        (self.reach_mm < MAX_DISTANCE_MM && centre.abs().max_element() < MAX_DISTANCE_MM)
             .then(|| (centre / PLACE_MM).floor().as_i64vec3())
     }
 }
@@ -110,7 +110,7 @@ pub(in crate::cylinders) fn empty_section(
 }
 
 impl Track {
-    /// An empty track. Frames without a cylinder model get theirs from `estimator`, which is shown every frame.
+    /// An empty track. `estimator` receives every frame and gives those without a cylinder model theirs.
     pub fn new(sensor_from_probe: Pose, estimator: Box<dyn CylinderEstimator + Send + Sync>) -> Self {
         Self {
             sensor_from_probe,
@@ -127,9 +127,9 @@ impl Track {
 
     /// A track of a whole recording, with the simple local estimate for frames without a cylinder.
     ///
-    /// The cylinders are those that [`Track::push`] finds. What follows the last frame without a model is not
-    /// shown to the estimator, so that a recording with all models costs no estimate; a track that is to grow
-    /// starts from [`Track::new`].
+    /// The cylinders equal those of [`Track::push`]. The estimator does not receive the frames after the last one without
+    /// a model, so that a recording in which every frame has a model costs no estimate. Use [`Track::new`] for a track that
+    /// grows.
     ///
     /// # Errors
     /// As [`Track::push`].
@@ -144,7 +144,7 @@ impl Track {
         Ok(track)
     }
 
-    /// Appends a frame. Its own cylinder model is taken before the estimate.
+    /// Appends a frame. Its own cylinder model takes precedence over the estimate.
     ///
     /// # Errors
     /// [`Error::Frame`] where [`Frame::check`] refuses it; the track is then as before.
@@ -191,10 +191,10 @@ impl Track {
         Ok(())
     }
 
-    /// Forgets the oldest frames within `within_mm` of the newest one's centre, so that `most` are left: what a catheter
-    /// at rest sees over and over again. Cylinders that came before stay as they are; later ones do without
-    /// the forgotten frames' points.
-    pub(crate) fn forget_rest(&mut self, within_mm: f64, most: usize) {
+    /// Drops the oldest frames within `within_mm` of the newest one's centre until `max_frames` are left: a catheter at
+    /// rest records the same wall again and again. Earlier cylinders do not change; later ones do not use the dropped
+    /// frames' points.
+    pub(crate) fn drop_oldest_near(&mut self, within_mm: f64, max_frames: usize) {
         let Some((_, newest)) = self.frames.last_key_value() else { return };
         let (centre, Some(home)) = (newest.centre_mm(), newest.place()) else { return };
         let step = (within_mm / PLACE_MM).ceil() as i64;
@@ -211,14 +211,14 @@ impl Track {
             near.extend(frames.iter().filter(|number| is_near(number)).map(|&number| (number, place)));
         }
         near.sort_unstable_by_key(|&(number, _)| number);
-        for &(number, place) in &near[..near.len().saturating_sub(most)] {
+        for &(number, place) in &near[..near.len().saturating_sub(max_frames)] {
             self.kept -= self.frames.remove(&number).map_or(0, |frame| frame.echoes.len());
             if let Some(place) = self.places.get_mut(&Some(place)) {
                 place.frames.retain(|&other| other != number);
             }
         }
-        if self.echoes_mm.len() > 2 * self.kept + LEAST_WASTE {
-            let mut echoes_mm = Vec::with_capacity(2 * self.kept + LEAST_WASTE);
+        if self.echoes_mm.len() > 2 * self.kept + MIN_WASTE {
+            let mut echoes_mm = Vec::with_capacity(2 * self.kept + MIN_WASTE);
             for frame in self.frames.values_mut() {
                 let first = echoes_mm.len();
                 echoes_mm.extend_from_slice(&self.echoes_mm[frame.echoes.clone()]);
@@ -278,9 +278,8 @@ impl Track {
         &self.echoes_mm
     }
 
-    /// The frames of 0..=`frame` with wall points that can lie in the section of `frame`'s cylinder.
-    ///
-    /// A frame is left out only where no point of its bounding circle can pass the gate.
+    /// The frames 0..=`frame` that may have wall points in the section of `frame`'s cylinder: all but those of which no
+    /// point of the bounding circle can pass the gate.
     ///
     /// # Errors
     /// As [`Track::cylinder`].
@@ -295,8 +294,8 @@ impl Track {
             .iter()
             .filter(|(place, Place { reach_mm, .. })| {
                 let Some(place) = place else { return true };
-                // No frame of the place is farther from its middle than half its diagonal; what is asked of each frame
-                // below is no less than this.
+                // No frame of a place is farther from its middle than half its diagonal. The test of each frame below
+                // is at least as strict.
                 let middle = (place.as_dvec3() + 0.5) * PLACE_MM;
                 let reach =
                     (half_height + 2.0 * reach_mm + 1.0).hypot(greatest_radius + 2.0 * reach_mm + 1.0);
@@ -304,7 +303,7 @@ impl Track {
             })
             .flat_map(|(_, place)| place.frames.iter().copied().take_while(|&number| number <= frame))
             .collect();
-        // Places come in no order.
+        // The map has no order.
         numbers.sort_unstable();
         Ok(numbers.into_iter().filter_map(move |number| {
             let placed = self.frames.get(&number)?;
@@ -313,8 +312,8 @@ impl Track {
             }
             let cylinder_from_probe = cylinder_from_world * placed.world_from_probe;
             let centre = cylinder_from_probe.transform_point(placed.centre_in_probe_mm);
-            // How far the circle stretches along the axis and across it. A hair more than that, so that
-            // rounding cannot leave out a point on the gate.
+            // Extent of the circle along the axis and across it, with a margin so that rounding cannot exclude a point
+            // on the gate.
             let tilt = &cylinder_from_probe.rotation;
             let slack = 1e-6 * (1.0 + placed.reach_mm);
             let along = placed.reach_mm * tilt.x_axis.x.hypot(tilt.y_axis.x) + slack;
@@ -325,7 +324,7 @@ impl Track {
         }))
     }
 
-    /// The points of a frame's section in tube coordinates (method, section 3).
+    /// The points of a frame's section in tube coordinates (`docs/method.md`, "Local cylinder fit").
     ///
     /// # Errors
     /// As [`Track::cylinder`], and where no point at all lies in the section.

@@ -1,4 +1,4 @@
-//! The ring topology that every engine shares (method, section 2).
+//! The ring topology of a tube, which every engine shares (`docs/method.md`, "Local cylinder fit").
 
 use crate::settings::Settings;
 
@@ -10,7 +10,7 @@ use crate::settings::Settings;
 /// `θ = 2πj/N`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tube {
-    /// N: nodes a ring.
+    /// N: nodes per ring.
     pub nodes: usize,
     /// L: levels of faces.
     pub levels: usize,

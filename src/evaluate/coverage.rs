@@ -1,4 +1,4 @@
-//! Which part of a truth a recording saw.
+//! The part of a truth that a recording covers.
 
 use crate::geometry::Pose;
 use crate::recording::Recording;
@@ -10,7 +10,7 @@ use std::collections::HashMap;
 /// The nodes of a truth surface near which a recording has a contour point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Coverage {
-    /// How near, mm.
+    /// Largest distance to a contour point, mm.
     pub within_mm: f64,
     /// Whether each node of the truth is covered.
     pub nodes: Vec<bool>,
@@ -39,7 +39,7 @@ impl Coverage {
             });
         }
         recording.check()?;
-        // Boxes of that size: what is near enough to a point lies in its box or one of the 26 about it.
+        // Boxes of that size: nodes near enough to a point lie in its box or in one of the 26 around it.
         let place = |p: DVec3| (p / within_mm).floor().as_i64vec3();
         let mut boxes: HashMap<_, Vec<usize>> = HashMap::new();
         for (node, &p) in truth.nodes_mm.iter().enumerate() {
@@ -54,7 +54,7 @@ impl Coverage {
                 let home = place(point);
                 for step in around() {
                     if let Some(open) = boxes.get_mut(&(home + glam::I64Vec3::from_array(step))) {
-                        // A node is found once; what is left gets less and less.
+                        // A covered node need not be found again.
                         open.retain(|&node| {
                             let covered =
                                 truth.nodes_mm[node].distance_squared(point) <= within_mm * within_mm;

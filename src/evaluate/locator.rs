@@ -1,6 +1,6 @@
-//! The closest point of a surface.
+//! The closest point of a surface, and where rays meet it.
 
-use crate::geometry::triangle::{Feature, closest_on_triangle};
+use crate::geometry::triangle::{Feature, closest_on_triangle, ray_meets};
 use crate::surface::Surface;
 use crate::{Error, Result};
 use glam::{DVec3, Vec3A};
@@ -9,8 +9,8 @@ use parry3d::partitioning::{Bvh, BvhBuildStrategy, BvhNode};
 use rayon::prelude::*;
 use std::cell::Cell;
 
-/// Queries that one thread works through in order, each starting from its predecessor's triangle. A fixed number, so
-/// that no result depends on the number of threads.
+/// Queries that one thread answers in order, each search starting from the triangle of the query before it. A fixed
+/// number, so that no result depends on the number of threads.
 const RUN: usize = 256;
 
 /// The closest point of a surface to a query.
@@ -30,10 +30,11 @@ pub struct Closest {
     pub on_rim: bool,
 }
 
-/// Finds the closest point of a surface, through parry's tree of bounding boxes over its triangles.
+/// Finds the closest point of a surface, and where rays meet it, through parry's tree of bounding boxes over its triangles.
 ///
 /// The boxes are in single precision and a little too large; which triangle is nearest is decided in double precision.
-/// Triangles without area are left out: what they cover belongs to their neighbours' edges, and they have no normal.
+/// Triangles without area are left out: they have no normal, and their points lie on their neighbours' edges too.
+#[derive(Debug, Clone)]
 pub struct Locator {
     boxes: Boxes,
     corners_mm: Vec<[DVec3; 3]>,
@@ -78,11 +79,11 @@ impl Locator {
             nodes,
             original,
         };
-        locator.look_along_edges();
+        locator.find_edge_normals();
         Ok(locator)
     }
 
-    fn look_along_edges(&mut self) {
+    fn find_edge_normals(&mut self) {
         let mut edges: Vec<([u32; 2], u32, usize)> = Vec::with_capacity(3 * self.nodes.len());
         for (t, nodes) in self.nodes.iter().enumerate() {
             for k in 0..3 {
@@ -111,7 +112,7 @@ impl Locator {
 
     /// The closest point to one query.
     pub fn closest(&self, query_mm: DVec3) -> Closest {
-        self.nearest(query_mm, 0).map_or(Closest::NOWHERE, |nearest| self.describe(query_mm, nearest))
+        self.nearest(query_mm, 0).map_or(Closest::NONE, |nearest| self.describe(query_mm, nearest))
     }
 
     /// The closest points to many queries, in the queries' order, on all threads of the current pool.
@@ -123,7 +124,7 @@ impl Locator {
         let along = |run: &[u32]| -> Vec<Closest> {
             let mut start = 0;
             let mut next = |query_mm| {
-                self.nearest(query_mm, start).map_or(Closest::NOWHERE, |nearest| {
+                self.nearest(query_mm, start).map_or(Closest::NONE, |nearest| {
                     start = nearest.triangle;
                     self.describe(query_mm, nearest)
                 })
@@ -131,24 +132,24 @@ impl Locator {
             run.iter().map(|&query| next(queries_mm[query as usize])).collect()
         };
         let found: Vec<Vec<Closest>> = order.par_chunks(RUN).map(along).collect();
-        let mut closest = vec![Closest::NOWHERE; queries_mm.len()];
+        let mut closest = vec![Closest::NONE; queries_mm.len()];
         for (&query, found) in order.iter().zip(found.into_iter().flatten()) {
             closest[query as usize] = found;
         }
         closest
     }
 
-    /// The nearest triangle, of equally near ones the first: the same whichever one the search starts from. None for a
+    /// The nearest triangle, the first of equally near ones, whichever triangle the search starts from. `None` for a
     /// query that is not finite.
     fn nearest(&self, query_mm: DVec3, start: u32) -> Option<Nearest> {
         if !query_mm.is_finite() {
             return None;
         }
-        let look_at = |triangle: u32| {
+        let measure = |triangle: u32| {
             let (point_mm, feature) = closest_on_triangle(query_mm, self.corners_mm[triangle as usize]);
             Nearest { squared_mm2: query_mm.distance_squared(point_mm), triangle, point_mm, feature }
         };
-        let nearest = Cell::new(look_at(start));
+        let nearest = Cell::new(measure(start));
         let query = self.boxes.place(query_mm).as_vec3a().clamp(-Boxes::FAR, Boxes::FAR);
         self.boxes.tree.find_best(
             self.boxes.bound(nearest.get().squared_mm2),
@@ -157,7 +158,7 @@ impl Locator {
                 if triangle == start {
                     return None;
                 }
-                let found = look_at(triangle);
+                let found = measure(triangle);
                 if found.is_before(nearest.get()) {
                     nearest.set(found);
                 }
@@ -165,6 +166,26 @@ impl Locator {
             },
         );
         Some(nearest.get())
+    }
+
+    /// The triangle that a ray meets first and the distance to it in lengths of `direction`; `None` where that is not
+    /// less than `range`.
+    pub(crate) fn cast(&self, origin_mm: DVec3, direction: DVec3, range: f64) -> Option<(u32, f64)> {
+        let first = Cell::new((range, None));
+        let (origin, direction_per_mm) = (self.boxes.place(origin_mm), direction * self.boxes.per_mm);
+        self.boxes.tree.find_best(
+            Boxes::reach(range),
+            |node, _| entry(node, origin, direction_per_mm),
+            |triangle, _| {
+                let distance = ray_meets(origin_mm, direction, self.corners_mm[triangle as usize])?;
+                if (distance, Some(triangle)) < first.get() {
+                    first.set((distance, Some(triangle)));
+                }
+                Some(Boxes::reach(distance))
+            },
+        );
+        let (distance, triangle) = first.get();
+        triangle.filter(|_| distance < range).map(|triangle| (self.original[triangle as usize], distance))
     }
 
     fn describe(&self, query_mm: DVec3, nearest: Nearest) -> Closest {
@@ -190,7 +211,7 @@ impl Locator {
 }
 
 impl Closest {
-    const NOWHERE: Self = Self {
+    const NONE: Self = Self {
         point_mm: DVec3::NAN,
         distance_mm: f64::NAN,
         signed_distance_mm: f64::NAN,
@@ -215,6 +236,7 @@ impl Nearest {
 }
 
 /// Boxes about triangles in single precision, from the surface's centre and in units of its size.
+#[derive(Debug, Clone)]
 struct Boxes {
     tree: Bvh,
     centre_mm: DVec3,
@@ -225,10 +247,10 @@ impl Boxes {
     /// By how much boxes are too large on each side: twice the rounding of coordinates up to four sizes from the centre,
     /// and of their differences.
     const SLACK: f64 = 1e-6;
-    /// By what factor a bound is too large: farther away, rounding is relative to the distance, and takes a quarter of
-    /// this.
+    /// Factor by which a bound is too large: farther away, rounding is relative to the distance and takes a quarter of
+    /// it.
     const BOUND_SLACK: f32 = 1.0 + 4e-6;
-    /// Queries are taken to be no farther than this, so that squares stay finite: it brings them nearer to every box.
+    /// Coordinates of queries are clamped to this, so that squares stay finite; that brings them nearer to every box.
     const FAR: Vec3A = Vec3A::splat(1e18);
 
     /// At least one triangle, each with an area.
@@ -258,6 +280,32 @@ impl Boxes {
     }
 }
 
+impl Boxes {
+    /// More than the [`entry`] of any box that may hold a triangle which a ray meets at this distance.
+    fn reach(distance: f64) -> f32 {
+        distance as f32 * Self::BOUND_SLACK + f32::MIN_POSITIVE
+    }
+}
+
+/// How far along a ray it enters a box, 0 inside, in lengths of its direction; infinite where it misses it. The box
+/// is larger than what it holds by more than the rounding here.
+fn entry(node: &BvhNode, origin: DVec3, direction: DVec3) -> f32 {
+    let (low, high) = (node.mins().as_dvec3(), node.maxs().as_dvec3());
+    let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
+    for axis in 0..3 {
+        if direction[axis] == 0.0 {
+            if !(low[axis]..=high[axis]).contains(&origin[axis]) {
+                return f32::INFINITY;
+            }
+            continue;
+        }
+        let per = direction[axis].recip();
+        let (a, b) = ((low[axis] - origin[axis]) * per, (high[axis] - origin[axis]) * per);
+        (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
+    }
+    if enter <= leave { enter as f32 } else { f32::INFINITY }
+}
+
 fn squared_distance(node: &BvhNode, query: Vec3A) -> f32 {
     let (low, high) = (Vec3A::from(node.mins()), Vec3A::from(node.maxs()));
     (low - query).max(query - high).max(Vec3A::ZERO).length_squared()
@@ -272,7 +320,7 @@ fn along_a_curve(queries: &[DVec3]) -> Vec<u32> {
     let mut keyed: Vec<u64> = (0u64..)
         .zip(queries)
         .map(|(k, &q)| {
-            // Casts saturate, and what is not finite becomes 0 or the far end: the order is about speed only.
+            // Casts saturate, and numbers that are not finite become 0 or the far end: the order affects speed only.
             let [x, y, z] =
                 ((q - low) * scale).to_array().map(|x| every_third_bit((x as u64).min((1 << 10) - 1)));
             (x | y << 1 | z << 2) << 32 | k

@@ -1,7 +1,7 @@
-//! How far a mesh is from the truth: the fitting error.
+//! The fitting error: distances between a mesh and the truth.
 //!
-//! The thesis prints several "overall errors" without saying what they are. Here every number has its definition in
-//! [`DEFINITIONS`], which the command gives in its help and its JSON.
+//! The thesis prints several "overall errors" without defining them. Here every number has its definition in
+//! [`DEFINITIONS`], which the command prints in its help and its JSON.
 
 mod coverage;
 mod locator;
@@ -84,7 +84,7 @@ impl Truth {
 /// Statistics of distances, mm, each with its weight.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Distances {
-    /// How many nodes they were taken at.
+    /// Number of nodes.
     pub nodes: usize,
     /// Mean.
     pub mean_mm: f64,
@@ -151,7 +151,7 @@ pub struct Evaluation {
     pub covered_rule: String,
     /// The largest distance of both directions, mm.
     pub hausdorff_mm: f64,
-    /// What makes these numbers doubtful, in words.
+    /// Reasons to doubt these numbers, in words.
     pub warnings: Vec<String>,
     /// Distance of each mesh node, mm.
     #[serde(skip)]
@@ -170,9 +170,9 @@ impl Evaluation {
 }
 
 /// Measures a mesh against the truth. A node of the truth counts as covered where the mesh's nearest point is not on an
-/// open rim; a side branch of the truth is then covered by the trunk beside it. [`evaluate_covered`] knows better.
+/// open rim; a side branch of the truth then counts as covered by the trunk beside it. [`evaluate_covered`] avoids this.
 ///
-/// Nodes that no triangle uses count too: they are part of what was reconstructed.
+/// Nodes that no triangle uses count too: they are part of the reconstruction.
 ///
 /// # Errors
 /// [`Error::Surface`] where the mesh has an index out of range, a node that is not finite or no triangle with an area.
@@ -180,7 +180,7 @@ pub fn evaluate(mesh: &Surface, truth: &Truth) -> Result<Evaluation> {
     measure(mesh, truth, None)
 }
 
-/// Measures a mesh against the truth, of which a recording covered a part.
+/// Measures a mesh against the part of the truth that a recording covered.
 ///
 /// # Errors
 /// As [`evaluate`], and where `coverage` is that of another truth.
@@ -235,14 +235,14 @@ fn measure(mesh: &Surface, truth: &Truth, coverage: Option<&Coverage>) -> Result
     })
 }
 
-/// What speaks against comparing the two, in words.
+/// Reasons to doubt a comparison of the two, in words.
 fn doubts(mesh: &Surface, truth: &Surface) -> Vec<String> {
     let mut doubts = Vec::new();
     if let (Some([low, high]), Some([truth_low, truth_high])) =
         (mesh.bounding_box_mm(), truth.bounding_box_mm())
     {
         let (size, truth_size) = (low.distance(high), truth_low.distance(truth_high));
-        // Millimetres taken for metres make a thousand; a mesh is seldom less than a hundredth of its vessel.
+        // Confused millimetres and metres give a factor of 1000; a mesh seldom spans less than a hundredth of its vessel.
         if size > 100.0 * truth_size || truth_size > 100.0 * size {
             doubts.push(format!(
                 "the mesh spans {size:.4} mm and the truth {truth_size:.4} mm: are both in millimetres?"

@@ -1,7 +1,6 @@
-//! Errors by place along a vessel.
+//! Errors by position along a vessel.
 
 use super::Distances;
-use crate::simulate::Centreline;
 use crate::{Error, Result};
 use glam::DVec3;
 use serde::Serialize;
@@ -9,9 +8,9 @@ use serde::Serialize;
 /// The errors of one stretch of a vessel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Region {
-    /// Where it starts along the centreline, mm.
+    /// Its start along the centreline, mm.
     pub from_mm: f64,
-    /// Where it ends, mm.
+    /// Its end, mm.
     pub to_mm: f64,
     /// The distances of the mesh's nodes there to the truth; none without nodes.
     pub mesh_to_truth: Option<Distances>,
@@ -20,13 +19,15 @@ pub struct Region {
 }
 
 impl Region {
-    /// Splits the nodes of a mesh into stretches of `length_mm` by the nearest of the centreline's points, one every
-    /// mm or so, and takes the statistics of each.
+    /// Splits the nodes of a mesh into stretches of `length_mm` along a centreline and takes the statistics of each.
+    ///
+    /// `centreline` holds points of it, such as one per mm, each with its length from the start, mm, in rising order. A
+    /// node belongs to the stretch of the nearest point.
     ///
     /// # Errors
     /// [`Error::Setting`] for a length below 1 mm.
     pub fn along(
-        centreline: &Centreline,
+        centreline: &[(f64, DVec3)],
         length_mm: f64,
         nodes_mm: &[DVec3],
         signed_error_mm: &[f64],
@@ -38,14 +39,11 @@ impl Region {
                 expected: "1 mm or more".into(),
             });
         }
-        let whole = centreline.length_mm();
-        let steps = whole.ceil().max(1.0) as usize;
-        let stations: Vec<(f64, DVec3)> =
-            (0..=steps).map(|i| i as f64 / steps as f64 * whole).map(|s| (s, centreline.at(s).0)).collect();
+        let whole = centreline.last().map_or(0.0, |(s, _)| *s);
         let count = (whole / length_mm).ceil().max(1.0) as usize;
         let mut errors: Vec<Vec<f64>> = vec![Vec::new(); count];
         for (node, error) in nodes_mm.iter().zip(signed_error_mm) {
-            let nearest = stations
+            let nearest = centreline
                 .iter()
                 .min_by(|a, b| a.1.distance_squared(*node).total_cmp(&b.1.distance_squared(*node)));
             let s = nearest.map_or(0.0, |station| station.0);
@@ -70,8 +68,7 @@ mod tests {
 
     #[test]
     fn nodes_count_where_they_are() {
-        let line =
-            Centreline::new(vec![DVec3::ZERO, DVec3::Z * 50.0, DVec3::Z * 90.0], vec![5.0; 3]).unwrap();
+        let line: Vec<(f64, DVec3)> = (0..=90).map(f64::from).map(|s| (s, DVec3::Z * s)).collect();
         let nodes = [-3.0, 5.0, 39.0, 41.0, 95.0].map(|z| DVec3::new(5.0, 0.0, z));
         let regions = Region::along(&line, 40.0, &nodes, &[1.0, -3.0, 2.0, -5.0, 7.0]).unwrap();
         let seen: Vec<_> = regions

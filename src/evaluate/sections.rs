@@ -1,8 +1,8 @@
-//! The lumen's cross-sections where the probe was.
+//! Cross-sections of the lumen in the planes of the frames.
 
 use crate::geometry::Pose;
 use crate::recording::{Recording, Table};
-use crate::surface::{Outline, Surface};
+use crate::surface::{SectionOutline, Surface};
 use crate::{Error, Result};
 use glam::DVec2;
 use serde::Serialize;
@@ -25,7 +25,7 @@ pub struct LumenSection {
     pub greatest_diameter_mm: f64,
     /// Diameter of the circle of that area, mm.
     pub equivalent_diameter_mm: f64,
-    /// Why numbers are missing, or what makes them doubtful.
+    /// Why numbers are missing or doubtful.
     pub remark: Option<String>,
 }
 
@@ -37,7 +37,7 @@ pub struct LumenSection {
 pub fn sections(mesh: &Surface, recording: &Recording, sensor_from_probe: Pose) -> Result<Vec<LumenSection>> {
     let measure = |(frame, pose): (usize, Pose)| {
         let cut = mesh.cut(&pose)?;
-        let away = |outline: &Outline| match outline.contains(DVec2::ZERO) {
+        let away = |outline: &SectionOutline| match outline.contains(DVec2::ZERO) {
             true => 0.0,
             false => outline.distance_mm(DVec2::ZERO),
         };
@@ -50,12 +50,12 @@ pub fn sections(mesh: &Surface, recording: &Recording, sensor_from_probe: Pose) 
             }
             _ => None,
         };
-        let [least, greatest] = nearest.and_then(Outline::diameters_mm).unwrap_or([f64::NAN; 2]);
-        let area_mm2 = nearest.map_or(f64::NAN, Outline::area_mm2);
+        let [least, greatest] = nearest.and_then(SectionOutline::diameters_mm).unwrap_or([f64::NAN; 2]);
+        let area_mm2 = nearest.map_or(f64::NAN, SectionOutline::area_mm2);
         Ok(LumenSection {
             frame,
             area_mm2,
-            perimeter_mm: nearest.map_or(f64::NAN, Outline::perimeter_mm),
+            perimeter_mm: nearest.map_or(f64::NAN, SectionOutline::perimeter_mm),
             least_diameter_mm: least,
             greatest_diameter_mm: greatest,
             equivalent_diameter_mm: 2.0 * (area_mm2 / PI).sqrt(),

@@ -1,6 +1,7 @@
 //! The volume inside a surface whose openings are closed.
 
 use crate::surface::Surface;
+use crate::{Error, Result};
 use glam::DVec3;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,10 +21,17 @@ impl Volumes {
     /// The volumes of both.
     ///
     /// # Errors
-    /// Why one of them cannot be closed, in words.
-    pub fn of(mesh: &Surface, truth: &Surface) -> Result<Self, String> {
-        let mesh_mm3 = closed_volume_mm3(mesh).map_err(|why| format!("the mesh {why}"))?;
-        let truth_mm3 = closed_volume_mm3(truth).map_err(|why| format!("the truth {why}"))?;
+    /// [`Error::Surface`] where one of them cannot be closed; it names which.
+    pub fn of(mesh: &Surface, truth: &Surface) -> Result<Self> {
+        let volume = |name: &str, surface: &Surface| {
+            closed_volume_mm3(surface).map_err(|error| match error {
+                Error::Surface { what, found, expected } => {
+                    Error::Surface { what: format!("{name}: {what}"), found, expected }
+                }
+                other => other,
+            })
+        };
+        let (mesh_mm3, truth_mm3) = (volume("mesh", mesh)?, volume("truth", truth)?);
         Ok(Self { mesh_mm3, truth_mm3, difference_mm3: mesh_mm3 - truth_mm3 })
     }
 }
@@ -32,12 +40,17 @@ impl Volumes {
 /// nodes. Positive where the normals point outwards.
 ///
 /// # Errors
-/// Why it cannot be closed, in words: indices out of range, an edge that more than two triangles or two triangles of
-/// opposite orientation share, or a rim that meets itself.
-pub fn closed_volume_mm3(surface: &Surface) -> Result<f64, String> {
-    surface.check().map_err(|e| format!("is broken: {e}"))?;
+/// [`Error::Surface`] where it cannot be closed: indices out of range, no nodes, an edge that more than two triangles or
+/// two triangles of opposite orientation share, or a rim that meets itself.
+pub fn closed_volume_mm3(surface: &Surface) -> Result<f64> {
+    surface.check()?;
+    let fault = |what: String, found: &str, expected: &str| Error::Surface {
+        what,
+        found: found.into(),
+        expected: expected.into(),
+    };
     let Some(origin) = surface.nodes_mm.first() else {
-        return Err("has no nodes".into());
+        return Err(fault("nodes".into(), "none", "at least one"));
     };
     // About a node of its own, so that a vessel far from the origin loses no digits.
     let cone = |a: DVec3, b: DVec3, c: DVec3| (a - origin).dot((b - origin).cross(c - origin)) / 6.0;
@@ -49,9 +62,10 @@ pub fn closed_volume_mm3(surface: &Surface) -> Result<f64, String> {
             cone(surface.nodes_mm[a as usize], surface.nodes_mm[b as usize], surface.nodes_mm[c as usize]);
         for edge in [(a, b), (b, c), (c, a)] {
             if !edges.insert(edge) {
-                return Err(format!(
-                    "has an edge, between nodes {} and {}, that triangles run along the same way",
-                    edge.0, edge.1
+                return Err(fault(
+                    format!("edge between nodes {} and {}", edge.0, edge.1),
+                    "two triangles that run along it the same way",
+                    "two triangles of the same orientation at most",
                 ));
             }
         }
@@ -60,7 +74,7 @@ pub fn closed_volume_mm3(surface: &Surface) -> Result<f64, String> {
     let mut next: BTreeMap<u32, u32> = BTreeMap::new();
     for &(a, b) in edges.iter().filter(|(a, b)| !edges.contains(&(*b, *a))) {
         if next.insert(b, a).is_some() {
-            return Err(format!("has a rim that meets itself at node {b}"));
+            return Err(fault(format!("rim at node {b}"), "a rim that meets itself", "simple rims"));
         }
     }
     while let Some((&start, _)) = next.first_key_value() {
@@ -109,10 +123,10 @@ mod tests {
     fn what_cannot_be_closed_is_said() {
         let mut turned = tetrahedron();
         turned.triangles[0].swap(0, 1);
-        assert!(closed_volume_mm3(&turned).unwrap_err().contains("the same way"));
+        assert!(closed_volume_mm3(&turned).unwrap_err().to_string().contains("the same way"));
         let mut bow_tie = tetrahedron();
         bow_tie.nodes_mm.push(DVec3::ONE);
         bow_tie.triangles = vec![[0, 1, 2], [0, 3, 4]];
-        assert!(closed_volume_mm3(&bow_tie).unwrap_err().contains("meets itself"));
+        assert!(closed_volume_mm3(&bow_tie).unwrap_err().to_string().contains("meets itself"));
     }
 }

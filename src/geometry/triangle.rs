@@ -1,4 +1,4 @@
-//! The closest point of a triangle.
+//! The closest point of a triangle, and where a ray meets it.
 
 use glam::DVec3;
 
@@ -49,6 +49,28 @@ pub(crate) fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> (DVec3, Fe
     (a + ab * (v / whole) + ac * (w / whole), Feature::Face)
 }
 
+/// How far along a ray it meets a triangle, from either side, in lengths of `direction`; `None` where it misses it or
+/// runs parallel to it.
+///
+/// C. Ericson, *Real-Time Collision Detection*, 2005, section 5.3.6, for both sides as in `parry3d`.
+pub(crate) fn ray_meets(origin: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64> {
+    let (ab, ac, ap) = (b - a, c - a, origin - a);
+    let normal = ab.cross(ac);
+    let (d, t) = (normal.dot(direction), ap.dot(normal));
+    if d == 0.0 || (t < 0.0 && d < 0.0) || (t > 0.0 && d > 0.0) {
+        return None;
+    }
+    let d = d.abs();
+    // Barycentric coordinates times d.
+    let e = -direction.cross(ap);
+    let (v, w) = if t < 0.0 { (-ac.dot(e), ab.dot(e)) } else { (ac.dot(e), -ab.dot(e)) };
+    if v < 0.0 || v > d || w < 0.0 || v + w > d {
+        return None;
+    }
+    let per_d = 1.0 / d;
+    Some(if t < 0.0 { -t * per_d } else { t * per_d })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -67,5 +89,17 @@ mod tests {
         ] {
             assert_eq!(closest_on_triangle(DVec3::new(x, y, 3.0), corners), (point, feature));
         }
+    }
+
+    #[test]
+    fn a_ray_meets_a_triangle_from_both_sides_but_not_behind_itself() {
+        let corners = [DVec3::ZERO, DVec3::X * 4.0, DVec3::Y * 4.0];
+        let from = DVec3::new(1.0, 1.0, 3.0);
+        assert_eq!(ray_meets(from, DVec3::NEG_Z, corners), Some(3.0));
+        assert_eq!(ray_meets(from, DVec3::NEG_Z * 2.0, corners), Some(1.5));
+        assert_eq!(ray_meets(-from + 2.0 * DVec3::new(1.0, 1.0, 0.0), DVec3::Z, corners), Some(3.0));
+        assert_eq!(ray_meets(from, DVec3::Z, corners), None);
+        assert_eq!(ray_meets(from, DVec3::X, corners), None);
+        assert_eq!(ray_meets(from + DVec3::X * 3.0, DVec3::NEG_Z, corners), None);
     }
 }

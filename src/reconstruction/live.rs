@@ -5,7 +5,7 @@
 //! use lumenmesh::settings::Settings;
 //! # use lumenmesh::simulate::{self, Insertion, Phantom, Shape, Simulation};
 //! # let vessel = Phantom::from("cylinder".parse::<Shape>()?).vessel()?;
-//! # let settings = simulate::Settings { insertion: Insertion::steady(), ..Default::default() };
+//! # let settings = simulate::SimulationSettings { insertion: Insertion::steady(), ..Default::default() };
 //! # let frames = Simulation::run(vessel, &settings)?.recording.frames;
 //!
 //! let mut live = Live::new(&Settings::default())?;
@@ -148,7 +148,7 @@ impl Live {
         }
     }
 
-    /// The vessel so far, with the arrays of [`Vessel::surface`](crate::cylinders::merge::Vessel::surface) or
+    /// The vessel so far, with the arrays of [`MergedVessel::surface`](crate::cylinders::merge::MergedVessel::surface) or
     /// [`Sweep::surface`](crate::sweep::Sweep::surface). A swept one lacks what is not supported, unless the settings keep
     /// it; a vessel that has not begun has no nodes.
     pub fn surface(&self) -> Surface {

@@ -7,7 +7,7 @@ mod live;
 pub use live::{Change, Live, Work};
 
 use crate::Result;
-use crate::cylinders::{CylinderReconstruction, Engine, Report as CylindersReport, engine};
+use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, engine};
 use crate::recording::Recording;
 use crate::settings::{Method, Settings};
 use crate::surface::Surface;
@@ -137,7 +137,7 @@ impl Lumen {
         &self.settings
     }
 
-    /// The lumen as a triangle surface with arrays per node: [`MergedVessel::surface`](crate::cylinders::merge::Vessel::surface)
+    /// The lumen as a triangle surface with arrays per node: [`MergedVessel::surface`](crate::cylinders::merge::MergedVessel::surface)
     /// and [`Sweep::surface`] say which. Parts of a sweep that no echo supports are cut off unless the settings keep them.
     pub fn surface(&self) -> Surface {
         match &self.vessel {

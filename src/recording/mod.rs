@@ -1,4 +1,4 @@
-//! What the probe saw: frames with their poses and contours, and the files that hold them.
+//! Recordings: frames with their poses and contours, and their file formats.
 
 mod cylinder;
 pub(crate) mod echo_error;
@@ -9,8 +9,8 @@ mod summary;
 pub use cylinder::CylinderModel;
 pub(crate) use cylinder::MAX_RADIUS_MM;
 pub(crate) use formats::Table;
-pub use pullback::{Centreline, Pullback};
-pub use summary::{Defects, Example, Spread, Summary};
+pub use pullback::{Pullback, PullbackPath};
+pub use summary::{Defects, Example, MinMedianMax, Summary};
 
 use crate::geometry::{Pose, polygon};
 use crate::output::ending;
@@ -35,7 +35,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The wall points that are there: the contour without its missing echoes.
+    /// The contour without its missing echoes.
     pub fn echoes_mm(&self) -> impl Iterator<Item = DVec2> + Clone + '_ {
         self.contour_mm.iter().copied().filter(|p| !p.is_nan())
     }
@@ -48,8 +48,8 @@ impl Frame {
     /// Centroid of the area inside the contour, mm in the probe's plane: a polygon through the echoes in ray
     /// order, straight across missing ones. `None` where there is no area.
     ///
-    /// Noise as large as the lumen makes a polygon that crosses itself: areas of both signs cancel, and what the
-    /// formula gives can lie anywhere. Outside the echoes' bounding box their mean stands in.
+    /// With noise as large as the lumen the polygon crosses itself: areas of both signs cancel, and the centroid can lie
+    /// anywhere. Where it lies outside the echoes' bounding box, their mean is returned instead.
     pub fn centroid_mm(&self) -> Option<DVec2> {
         let origin = self.echoes_mm().next()?;
         let (twice_area, moment) = polygon::twice_area_and_moment(self.echoes_mm());
@@ -93,8 +93,8 @@ impl Recording {
         Ok(recording)
     }
 
-    /// Reads a recording as [`Recording::read`] does, but leaves frames in it that no reconstruction can use:
-    /// a way to look at what is wrong with them.
+    /// Reads a recording as [`Recording::read`] does, but keeps frames that no reconstruction can use, so that their
+    /// defects can be inspected.
     ///
     /// # Errors
     /// Where a file cannot be read, lacks a variable or has one of a wrong shape.
@@ -118,7 +118,8 @@ impl Recording {
         }
     }
 
-    /// Refuses what no reconstruction can use: no frames, or a frame with [defects](Frame::defects).
+    /// Refuses recordings that no reconstruction can use: those without frames or with a frame that has
+    /// [defects](Frame::defects).
     ///
     /// # Errors
     /// [`Error::Frame`] with the first frame to blame.
@@ -160,9 +161,9 @@ impl Frame {
         }
     }
 
-    /// What makes the frame useless, at most one defect per quantity: a pose that is not finite or no rotation, a
-    /// time that is not finite, a contour point that is half there, a cylinder that is not finite or whose
-    /// radius is not positive or beyond any vessel's.
+    /// The defects that make the frame unusable, at most one per quantity: a pose that is not finite or not a rotation, a
+    /// time that is not finite, a contour point with one coordinate missing, a cylinder that is not finite or whose
+    /// radius is not positive or larger than that of any vessel.
     pub fn defects(&self) -> Vec<Defect> {
         let position = self.world_from_sensor.translation_mm;
         let mut defects = Vec::new();
@@ -205,7 +206,7 @@ impl Frame {
         if error <= ROTATION_TOLERANCE {
             return None;
         }
-        // Axes of one length that are square to each other are what a quaternion gives that is not unit.
+        // Orthogonal axes of equal length come from a quaternion that is not unit.
         let length = rotation.x_axis.length();
         let scaled = Pose { rotation: *rotation * length.recip(), ..self.world_from_sensor };
         if length == 0.0 {

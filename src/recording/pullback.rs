@@ -8,10 +8,10 @@ use glam::{DVec2, DVec3};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A recording made from contours whose poses nobody measured, only how far the catheter was pulled.
+/// A recording made from contours without measured poses, only with the distances that the catheter was pulled.
 ///
 /// Poses are assumed: one probe origin in the image for all frames, and a probe axis along a straight line or
-/// along a given centreline. **The roll about that axis is not measured**: it is held as constant as the
+/// along a given centreline. **The roll about that axis is not measured**: it is kept as constant as the
 /// curve allows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pullback {
@@ -36,9 +36,9 @@ impl Pullback {
     /// smallest pullback position.
     ///
     /// # Errors
-    /// Where the file cannot be read, a line is no point of one frame at one position, no contour has an area
-    /// to find a centre by, or the centreline is shorter than the pullback.
-    pub fn read(path: &Path, centre_mm: Option<DVec2>, centreline: Option<&Centreline>) -> Result<Self> {
+    /// Where the file cannot be read, a line is not a point of one frame at one position, no contour has an area whose
+    /// centroid could serve as the probe's origin, or the centreline is shorter than the pullback.
+    pub fn read(path: &Path, centre_mm: Option<DVec2>, centreline: Option<&PullbackPath>) -> Result<Self> {
         let mut contours: Vec<Contour> = read_contours(path)?;
         contours.sort_by(|a, b| a.position_mm.total_cmp(&b.position_mm).then(a.number.cmp(&b.number)));
         let (Some(first), Some(last)) = (contours.first(), contours.last()) else {
@@ -132,9 +132,9 @@ fn read_contours(path: &Path) -> Result<Vec<Contour>> {
     Ok(contours.into_values().collect())
 }
 
-/// The middle line of a vessel.
+/// The path of a pullback: the centreline of a vessel as a polyline.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Centreline {
+pub struct PullbackPath {
     /// Where it came from, for messages.
     name: std::path::PathBuf,
     /// Its points in the world, mm; no two consecutive ones coincide.
@@ -143,7 +143,7 @@ pub struct Centreline {
     lengths_mm: Vec<f64>,
 }
 
-impl Centreline {
+impl PullbackPath {
     /// Reads points x, y, z in mm, one a line: the first three columns, or those named `x`, `y`, `z` (or `x_mm`,
     /// `y_mm`, `z_mm`). Where a column `branch` is there, the first branch counts.
     ///

@@ -2,10 +2,10 @@ use super::{Frame, Recording};
 use serde::Serialize;
 use std::fmt;
 
-/// What is in a recording, and what looks wrong with it.
+/// A recording in numbers, and its defects.
 ///
-/// It is made from any recording, also from one that fails [`Recording::check`]: frames that cannot be used are
-/// left out of the numbers that they would spoil and are listed among the [`defects`](Self::defects).
+/// It accepts recordings that fail [`Recording::check`]: unusable frames are left out of the statistics that they would
+/// distort and are listed among the [`defects`](Self::defects).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
     /// Frames.
@@ -15,7 +15,7 @@ pub struct Summary {
     /// One over the median time between frames, 1/s.
     pub frame_rate_hz: Option<f64>,
     /// Rays per frame.
-    pub rays: Option<Spread>,
+    pub rays: Option<MinMedianMax>,
     /// Wall points, without missing echoes.
     pub points: usize,
     /// Rays without an echo.
@@ -23,22 +23,22 @@ pub struct Summary {
     /// Length of the sensor's path, mm.
     pub path_length_mm: f64,
     /// Distance between the sensor's positions in consecutive frames, mm.
-    pub step_mm: Option<Spread>,
+    pub step_mm: Option<MinMedianMax>,
     /// Angle between the sensor's orientations in consecutive frames, rad.
-    pub turn_rad: Option<Spread>,
+    pub turn_rad: Option<MinMedianMax>,
     /// Distance of the wall points from their contour's centroid, mm.
-    pub contour_radius_mm: Option<Spread>,
+    pub contour_radius_mm: Option<MinMedianMax>,
     /// Frames with a cylinder model.
     pub cylinders: usize,
     /// Radius of the cylinder models, mm.
-    pub cylinder_radius_mm: Option<Spread>,
-    /// What looks wrong, one entry per kind.
+    pub cylinder_radius_mm: Option<MinMedianMax>,
+    /// Defects, one entry per kind.
     pub defects: Vec<Defects>,
 }
 
 /// Smallest, middle and largest of some numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Spread {
+pub struct MinMedianMax {
     /// The smallest.
     pub min: f64,
     /// The middle one; of an even number of them, the upper middle one.
@@ -58,7 +58,7 @@ pub struct Defects {
     pub fatal: bool,
     /// How many frames have it; 0 where it is about the recording as a whole.
     pub frames: usize,
-    /// The first of them, at most [`Summary::MOST_EXAMPLES`], or the recording's one.
+    /// The first of them, at most [`Summary::MAX_EXAMPLES`], or the recording's one.
     pub examples: Vec<Example>,
 }
 
@@ -73,15 +73,15 @@ pub struct Example {
 
 impl Summary {
     /// Frames listed per kind of defect.
-    pub const MOST_EXAMPLES: usize = 10;
+    pub const MAX_EXAMPLES: usize = 10;
     /// No step is a jump below this, mm.
-    pub const LEAST_JUMP_MM: f64 = 5.0;
+    pub const MIN_JUMP_MM: f64 = 5.0;
     /// No turn is a jump below this, rad.
-    pub const LEAST_JUMP_RAD: f64 = 0.35;
+    pub const MIN_JUMP_RAD: f64 = 0.35;
     /// A step or turn is a jump above this multiple of the median one.
     pub const JUMP_FACTOR: f64 = 10.0;
 
-    /// Looks at a recording.
+    /// Summarises a recording.
     pub fn of(recording: &Recording) -> Self {
         let frames = &recording.frames;
         let mut list = DefectList(Vec::new());
@@ -92,9 +92,9 @@ impl Summary {
         }
         for (k, frame) in frames.iter().enumerate() {
             let (points, missing) = (frame.echoes_mm().count(), frame.missing_echoes());
-            if points < LEAST_POINTS {
+            if points < MIN_POINTS {
                 let found = format!("{points} ({missing} missing echoes)");
-                list.add("wall points", format!("at least {LEAST_POINTS}"), false, Some(k), found);
+                list.add("wall points", format!("at least {MIN_POINTS}"), false, Some(k), found);
             }
         }
         if frames.is_empty() {
@@ -108,18 +108,18 @@ impl Summary {
             let turn = a.world_from_sensor.rotation.transpose() * b.world_from_sensor.rotation;
             ((turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0) / 2.0).clamp(-1.0, 1.0).acos()
         });
-        let (step_mm, turn_rad) = (spread_of_steps(&steps), spread_of_steps(&turns));
-        let jump = |least: f64, spread: Option<Spread>| {
+        let (step_mm, turn_rad) = (of_steps(&steps), of_steps(&turns));
+        let jump = |least: f64, spread: Option<MinMedianMax>| {
             spread.map_or(least, |s| least.max(Self::JUMP_FACTOR * s.median))
         };
-        let most_mm = jump(Self::LEAST_JUMP_MM, step_mm);
-        for &(k, step) in steps.iter().filter(|s| s.1 > most_mm) {
-            let expected = format!("steps of at most {most_mm:.2} mm");
+        let max_mm = jump(Self::MIN_JUMP_MM, step_mm);
+        for &(k, step) in steps.iter().filter(|s| s.1 > max_mm) {
+            let expected = format!("steps of at most {max_mm:.2} mm");
             list.add("position jump", expected, false, Some(k), format!("{step:.2} mm"));
         }
-        let most_rad = jump(Self::LEAST_JUMP_RAD, turn_rad);
-        for &(k, turn) in turns.iter().filter(|t| t.1 > most_rad) {
-            let expected = format!("turns of at most {:.1} degrees", most_rad.to_degrees());
+        let max_rad = jump(Self::MIN_JUMP_RAD, turn_rad);
+        for &(k, turn) in turns.iter().filter(|t| t.1 > max_rad) {
+            let expected = format!("turns of at most {:.1} degrees", max_rad.to_degrees());
             list.add("rotation jump", expected, false, Some(k), format!("{:.1} degrees", turn.to_degrees()));
         }
 
@@ -134,13 +134,13 @@ impl Summary {
             }
             intervals.push((later - earlier) / (k - j) as f64);
         }
-        let interval_s = spread(intervals).map(|s| s.median);
+        let interval_s = min_median_max(intervals).map(|s| s.median);
 
-        let contour_radius_mm = spread(frames.iter().flat_map(|f| {
+        let contour_radius_mm = min_median_max(frames.iter().flat_map(|f| {
             let centre = f.centroid_mm();
             f.echoes_mm().filter_map(move |p| Some(p.distance(centre?)))
         }));
-        if let Some(Spread { median, .. }) = contour_radius_mm
+        if let Some(MinMedianMax { median, .. }) = contour_radius_mm
             && !LUMEN_RADII_MM.contains(&median)
         {
             let guess = if median < LUMEN_RADII_MM.start { "metres" } else { "micrometres or pixels" };
@@ -153,7 +153,7 @@ impl Summary {
             frames: frames.len(),
             duration_s: times.first().zip(times.last()).map(|(first, last)| last.1 - first.1),
             frame_rate_hz: interval_s.filter(|&s| s > 0.0).map(f64::recip),
-            rays: spread(frames.iter().map(|f| f.contour_mm.len() as f64)),
+            rays: min_median_max(frames.iter().map(|f| f.contour_mm.len() as f64)),
             points: frames.iter().map(|f| f.echoes_mm().count()).sum(),
             missing_echoes: frames.iter().map(Frame::missing_echoes).sum(),
             path_length_mm: steps.iter().map(|s| s.1).sum(),
@@ -161,15 +161,17 @@ impl Summary {
             turn_rad,
             contour_radius_mm,
             cylinders: frames.iter().filter(|f| f.cylinder.is_some()).count(),
-            cylinder_radius_mm: spread(frames.iter().filter_map(|f| Some(f.cylinder.as_ref()?.radius_mm))),
+            cylinder_radius_mm: min_median_max(
+                frames.iter().filter_map(|f| Some(f.cylinder.as_ref()?.radius_mm)),
+            ),
             defects: list.0,
         }
     }
 }
 
-/// Wall points that make an area: with fewer no cylinder can be estimated. A frame with a model may have fewer, as
-/// its cylinder draws on earlier frames too, so that this is suspicious only.
-const LEAST_POINTS: usize = 3;
+/// Wall points that enclose an area: with fewer no cylinder can be estimated. A frame with a model may have fewer,
+/// because its cylinder uses earlier frames too, so that this is only suspicious.
+const MIN_POINTS: usize = 3;
 
 /// Median contour radii that a vessel may have, mm: below lies a vessel in metres, above one in micrometres.
 const LUMEN_RADII_MM: std::ops::Range<f64> = 0.2..100.0;
@@ -180,15 +182,15 @@ fn between(frames: &[Frame], of: impl Fn(&Frame, &Frame) -> f64) -> Vec<(usize, 
     pairs.map(|(k, (a, b))| (k + 1, of(a, b))).filter(|(_, value)| value.is_finite()).collect()
 }
 
-fn spread_of_steps(steps: &[(usize, f64)]) -> Option<Spread> {
-    spread(steps.iter().map(|s| s.1))
+fn of_steps(steps: &[(usize, f64)]) -> Option<MinMedianMax> {
+    min_median_max(steps.iter().map(|s| s.1))
 }
 
-fn spread(numbers: impl IntoIterator<Item = f64>) -> Option<Spread> {
+fn min_median_max(numbers: impl IntoIterator<Item = f64>) -> Option<MinMedianMax> {
     let mut sorted: Vec<f64> = numbers.into_iter().filter(|x| x.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     let median = *sorted.get(sorted.len() / 2)?;
-    Some(Spread { min: *sorted.first()?, median, max: *sorted.last()? })
+    Some(MinMedianMax { min: *sorted.first()?, median, max: *sorted.last()? })
 }
 
 struct DefectList(Vec<Defects>);
@@ -209,14 +211,14 @@ impl DefectList {
             });
         if let Some(defects) = self.0.get_mut(at) {
             defects.frames += usize::from(frame.is_some());
-            if defects.examples.len() < Summary::MOST_EXAMPLES {
+            if defects.examples.len() < Summary::MAX_EXAMPLES {
                 defects.examples.push(Example { frame, found });
             }
         }
     }
 }
 
-impl fmt::Display for Spread {
+impl fmt::Display for MinMedianMax {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let digits = f.precision().unwrap_or(3);
         write!(f, "{:.digits$} to {:.digits$}, median {:.digits$}", self.min, self.max, self.median)
@@ -225,8 +227,9 @@ impl fmt::Display for Spread {
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let or_unknown =
-            |s: Option<Spread>, unit: &str| s.map_or_else(|| "none".to_owned(), |s| format!("{s:.3} {unit}"));
+        let or_unknown = |s: Option<MinMedianMax>, unit: &str| {
+            s.map_or_else(|| "none".to_owned(), |s| format!("{s:.3} {unit}"))
+        };
         match (self.frame_rate_hz, self.duration_s) {
             (Some(rate), Some(s)) => {
                 writeln!(f, "frames          {} ({rate:.2} per second, {s:.2} s)", self.frames)?
@@ -239,7 +242,7 @@ impl fmt::Display for Summary {
         writeln!(f, "points          {} and {} missing echoes", self.points, self.missing_echoes)?;
         writeln!(f, "path            {:.2} mm", self.path_length_mm)?;
         writeln!(f, "steps           {}", or_unknown(self.step_mm, "mm"))?;
-        let degrees = |s: Spread| Spread {
+        let degrees = |s: MinMedianMax| MinMedianMax {
             min: s.min.to_degrees(),
             median: s.median.to_degrees(),
             max: s.max.to_degrees(),

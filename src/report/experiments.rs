@@ -1,4 +1,4 @@
-//! The thesis's tables and figures, beside ours.
+//! The thesis's tables and figures beside ours.
 
 use super::page::{Page, Table};
 use super::plot::{Line, Mark, Room, Violin, lines, violins};
@@ -248,8 +248,8 @@ fn table_4(experiments: &Experiments) -> Table {
         rows: rows.collect(),
         note: format!(
             "Median over {} cylinders ({} where the tip is never bent). Which of the thesis's rows this is, noisy or noiseless, \
-             is not at hand. The error before the fit says how unlike a cylinder the vessel is and how well the cylinders were \
-             placed: a bent tip looks at the wall at a slant, and a cylinder estimated from that starts further away. With \
+             is not at hand. The error before the fit depends on how far the vessel is from a cylinder and how well the cylinders \
+             were placed: a bent tip sees the wall at a slant, and a cylinder estimated from that starts farther away. With \
              noise, iterations after the first few follow the noise.",
             experiments.noisy.cylinder_frames.len(),
             experiments.noisy_steady.cylinder_frames.len()
@@ -324,7 +324,7 @@ fn both_ways(experiments: &Experiments) -> Table {
         head: head(["", "mesh→truth mean", "rms", "signed mean", "truth→mesh mean", "95 %", "truth covered"]),
         rows: rows.to_vec(),
         note: format!(
-            "A node of the truth is covered where {}. What the thesis has in this place is {NOT_AT_HAND}.",
+            "A node of the truth is covered where {}. The thesis's values are {NOT_AT_HAND}.",
             experiments.noisy.deformed.evaluation.covered_rule
         ),
     }

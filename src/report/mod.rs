@@ -1,14 +1,16 @@
-//! What a person looks at: pictures of meshes, plots, and pages of both.
+//! Pictures of meshes, plots, and HTML pages of both.
 
+mod cylinders;
 mod experiments;
 mod page;
 pub mod plot;
 mod reconstruction;
 pub mod render;
+mod rows;
 mod study;
 mod sweep;
 
 pub use experiments::{experiments_page, tables};
 pub use page::Table;
-pub use reconstruction::{Subject, html};
+pub use reconstruction::{PageContent, html};
 pub use study::study_plot;

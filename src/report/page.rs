@@ -9,13 +9,13 @@ use std::fmt::Write as _;
 /// A table, for a page or a terminal.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Table {
-    /// What it shows.
+    /// Its title.
     pub title: String,
     /// The heads of its columns.
     pub head: Vec<String>,
     /// Its cells, row by row.
     pub rows: Vec<Vec<String>>,
-    /// What the numbers are, and how they compare.
+    /// Explanation of the numbers.
     pub note: String,
 }
 
@@ -178,7 +178,7 @@ footer { color: #55555c; font-size: .85rem; margin: 2.5rem 0 1rem; border-top: 1
 
 fn png(picture: &Picture) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    picture.encode(&mut bytes).map_err(|source| Error::Write { path: "a picture".into(), source })?;
+    picture.encode(&mut bytes).map_err(|source| Error::Output { target: "picture", source })?;
     Ok(bytes)
 }
 

@@ -98,10 +98,10 @@ pub fn lines(room: Room, x_label: &str, y_label: &str, lines: &[Line]) -> Result
         return Err(nothing_to_draw());
     };
     let y = from_zero(y);
-    let (.., most_marks) = room.size();
+    let (.., max_marks) = room.size();
     // Whole numbers are counts: no marks between them.
     let whole = all().all(|p| p.0.fract() == 0.0);
-    let marks = if whole { most_marks.min((x.end - x.start) as usize + 1) } else { most_marks };
+    let marks = if whole { max_marks.min((x.end - x.start) as usize + 1) } else { max_marks };
     // A line through many points jumps about: dashes would hide that.
     let dense = lines.iter().any(|(_, points)| points.len() > 60);
     let dashes = |i: usize| if dense { DASHES[0] } else { DASHES[i % DASHES.len()] };
@@ -192,7 +192,7 @@ fn svg(room: Room, draw: impl FnOnce(&Area) -> Drawn) -> Result<String> {
         Ok(()) => Ok(text),
         Err(error) => {
             let source = std::io::Error::other(error.to_string());
-            Err(Error::Write { path: "a figure".into(), source })
+            Err(Error::Output { target: "figure", source })
         }
     }
 }

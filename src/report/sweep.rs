@@ -1,8 +1,8 @@
-//! What a page says of a sweep alone.
+//! What a page shows of a reconstruction by the sweep.
 
 use super::page::Page;
 use super::plot::{Line, Mark, Room, lines};
-use super::reconstruction::{engine_row, facts, share};
+use super::rows::{engine_row, facts, share};
 use crate::Result;
 use crate::sweep::{Sweep, SweepReport};
 
@@ -13,7 +13,7 @@ pub(super) fn summary_rows(report: &SweepReport) -> Vec<(&'static str, String)> 
         ("method", "sweep".into()),
         ("vessel", format!("{:.0} mm, {} rings, {} nodes", report.length_mm, report.rings, report.nodes)),
         ("engine", engine_row(&report.engine, report.threads)),
-        ("time", format!("{milliseconds:.0} ms: axis, placing echoes, fitting, weighing support")),
+        ("time", format!("{milliseconds:.0} ms: axis, placing echoes, fitting, computing support")),
     ]
 }
 
@@ -24,7 +24,7 @@ fn along(sweep: &Sweep, name: &str, of: impl Fn(std::ops::Range<usize>) -> f64) 
     Line { name: name.into(), points: (0..sweep.axis.rings()).map(point).collect(), mark: Mark::Line }
 }
 
-/// Their mean; NaN of none.
+/// Mean of the finite values; NaN without any.
 fn mean(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.filter(|v| v.is_finite()).fold((0.0, 0.0), |(s, n), v| (s + v, n + 1.0));
     sum / count
@@ -35,8 +35,8 @@ pub(super) fn coverage(page: &mut Page, sweep: &Sweep) -> Result<()> {
     page.heading("Coverage");
     let supported = support.supported.iter().filter(|s| **s).count();
     page.paragraph(&format!(
-        "{} of {} nodes are supported: echoes about them bear their place. The others lie beyond the echoes or in the \
-         mouths of branches, and are cut from the surface unless they are asked for.",
+        "{} of {} nodes are supported by echoes around them. The others lie beyond the echoes or in the mouths of \
+         branches, and are cut from the surface unless they are asked for.",
         share(supported as u64, support.supported.len() as u64),
         support.supported.len()
     ));

@@ -1,4 +1,4 @@
-//! A curve down the middle of a vessel's branch.
+//! The centreline of a vessel's branch.
 
 use crate::geometry::{Pose, polyline, rotation_minimising_frames};
 use crate::output::write_atomically;
@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use std::path::Path;
 
-/// The middle of one branch of a vessel: a smooth curve through given points, parameterised by the length of
+/// The centreline of one branch of a vessel: a smooth curve through given points, parameterised by the length of
 /// the chords between them.
 ///
 /// Between two points the curve is a cubic Hermite piece whose end tangents come from the parabola through
@@ -117,20 +117,22 @@ impl Centreline {
     }
 
     /// Writes the centrelines of a vessel as [`Centreline::read_branches`] reads them, with the column `s_mm`, how far
-    /// along its branch a point lies. Numbers carry all their digits.
+    /// along its branch a point lies. Numbers have all their digits.
     ///
     /// # Errors
     /// [`Error::Write`].
     pub fn write_branches(branches: &[Self], path: &Path) -> Result<()> {
         write_atomically(path, |out| {
-            writeln!(out, "branch,s_mm,x_mm,y_mm,z_mm,r_inscribed_mm")?;
+            let mut table = csv::Writer::from_writer(out);
+            table.write_record(["branch", "s_mm", "x_mm", "y_mm", "z_mm", "r_inscribed_mm"])?;
             for (number, branch) in branches.iter().enumerate() {
                 let along = branch.arc_length_mm.iter().zip(&branch.inscribed_radius_mm);
                 for (p, (s, radius)) in branch.points_mm.iter().zip(along) {
-                    writeln!(out, "{number},{s},{},{},{},{radius}", p.x, p.y, p.z)?;
+                    let row = [*s, p.x, p.y, p.z, *radius].map(|value| value.to_string());
+                    table.write_record([number.to_string()].iter().chain(&row))?;
                 }
             }
-            Ok(())
+            table.flush()
         })
     }
 
@@ -139,7 +141,7 @@ impl Centreline {
         &self.points_mm
     }
 
-    /// How far along the curve each point lies, mm; the first is 0.
+    /// Length along the curve up to each point, mm; the first is 0.
     pub fn arc_length_mm(&self) -> &[f64] {
         &self.arc_length_mm
     }
@@ -152,6 +154,13 @@ impl Centreline {
     /// The length of the whole curve, mm.
     pub fn length_mm(&self) -> f64 {
         self.arc_length_mm.last().copied().unwrap_or_default()
+    }
+
+    /// Points of the curve at equal steps of about 1 mm, both ends among them, each with its length from the start, mm.
+    pub fn every_mm(&self) -> Vec<(f64, DVec3)> {
+        let whole = self.length_mm();
+        let steps = whole.ceil().max(1.0) as usize;
+        (0..=steps).map(|i| i as f64 / steps as f64 * whole).map(|s| (s, self.at(s).0)).collect()
     }
 
     /// The point `s_mm` along the curve, mm, and the unit tangent there.

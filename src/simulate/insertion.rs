@@ -1,7 +1,7 @@
-//! How the catheter moves.
+//! Motion of the catheter.
 
 use super::centreline::Centreline;
-use super::vessel::Vessel;
+use super::vessel::SimulatedVessel;
 use super::within;
 use crate::geometry::Pose;
 use crate::{Error, Result};
@@ -40,7 +40,7 @@ pub enum Move {
     },
 }
 
-/// A catheter and the way it is moved through one branch of a vessel.
+/// A catheter and its motion through one branch of a vessel.
 ///
 /// The catheter follows the centreline. Its bending segment, just before the tip, adds a constant curvature to
 /// the centreline's own, in a plane that is fixed in the rotation-minimising frame; so a bent tip in a straight
@@ -51,9 +51,9 @@ pub enum Move {
 pub struct Insertion {
     /// Which of the vessel's centrelines, counted from 0.
     pub branch: usize,
-    /// Where along the centreline the tip starts, mm.
+    /// Start of the tip along the centreline, mm.
     pub start_mm: f64,
-    /// How far along the centreline the tip may go, mm; 5 mm before its end where absent.
+    /// End of the insertion along the centreline, mm; 5 mm before the end of the centreline where absent.
     pub end_mm: Option<f64>,
     /// The moves, in order.
     pub moves: Vec<Move>,
@@ -69,7 +69,7 @@ pub struct Insertion {
     pub turn_rate_deg_s: f64,
     /// Length of the bending segment, mm.
     pub bending_length_mm: f64,
-    /// How near to the wall the tip may come, mm. A bend that would bring it nearer, in any plane, is reduced.
+    /// Smallest distance of the tip from the wall, mm. A bend that would bring it nearer, in any plane, is reduced.
     pub clearance_mm: f64,
 }
 
@@ -125,7 +125,7 @@ pub(super) struct Path<'a> {
     centreline: &'a Centreline,
     /// When each leg starts, what it starts from; the last entry ends the last leg.
     legs: Vec<(f64, State)>,
-    least_scale: f64,
+    min_scale: f64,
     pub reduced_bends: Vec<ReducedBend>,
 }
 
@@ -140,7 +140,7 @@ impl Insertion {
         self.end_mm.unwrap_or(branch_length_mm - 5.0)
     }
 
-    /// Refuses what is no insertion.
+    /// Checks the settings.
     ///
     /// # Errors
     /// [`Error::Setting`].
@@ -183,9 +183,9 @@ impl Insertion {
         Ok(())
     }
 
-    /// Plans the moves through a vessel that shrinks to `least_scale` of its size at times. The settings are taken
+    /// Plans the moves through a vessel that shrinks to `min_scale` of its size at times. The settings are taken
     /// to be valid.
-    pub(super) fn plan<'a>(&'a self, vessel: &'a Vessel, least_scale: f64) -> Result<Path<'a>> {
+    pub(super) fn plan<'a>(&'a self, vessel: &'a SimulatedVessel, min_scale: f64) -> Result<Path<'a>> {
         let Some(centreline) = vessel.branches().get(self.branch) else {
             return Err(Error::Setting {
                 name: "insertion.branch",
@@ -207,7 +207,7 @@ impl Insertion {
             insertion: self,
             centreline,
             legs: vec![(0.0, start)],
-            least_scale,
+            min_scale,
             reduced_bends: Vec::new(),
         };
         let (mut state, mut time_s, mut arrived) = (start, 0.0, false);
@@ -293,7 +293,7 @@ impl Path<'_> {
     }
 
     /// Refuses a tip outside the lumen or nearer to the wall than the clearance.
-    pub fn check(&self, vessel: &Vessel, time_s: f64) -> Result<()> {
+    pub fn check(&self, vessel: &SimulatedVessel, time_s: f64) -> Result<()> {
         let state = self.state(time_s);
         self.wall_too_near(vessel, state, self.insertion.clearance_mm).map_or(Ok(()), |distance_mm| {
             Err(Error::Surface {
@@ -351,19 +351,24 @@ impl Path<'_> {
 
     /// `None`: the tip keeps `clearance_mm` from the wall. Else how near the wall is, or nothing where it was
     /// passed.
-    fn wall_too_near(&self, vessel: &Vessel, state: State, clearance_mm: f64) -> Option<Option<f64>> {
+    fn wall_too_near(
+        &self,
+        vessel: &SimulatedVessel,
+        state: State,
+        clearance_mm: f64,
+    ) -> Option<Option<f64>> {
         let middle = self.centreline.at(state.s_mm).0;
         // In a smaller vessel the tip is further out: enlarging its way from the middle has the same effect.
-        let tip = middle + (self.tip_in(state).translation_mm - middle) / self.least_scale;
+        let tip = middle + (self.tip_in(state).translation_mm - middle) / self.min_scale;
         if vessel.wall_between(middle, tip) {
             return Some(None);
         }
-        let distance_mm = vessel.distance_mm(tip) * self.least_scale;
+        let distance_mm = vessel.distance_mm(tip) * self.min_scale;
         (distance_mm < clearance_mm).then_some(Some(distance_mm))
     }
 
     /// The largest angle up to `asked_deg` that keeps its clearance in every plane.
-    fn largest_bend_deg(&self, vessel: &Vessel, state: State, asked_deg: f64) -> f64 {
+    fn largest_bend_deg(&self, vessel: &SimulatedVessel, state: State, asked_deg: f64) -> f64 {
         // Halfway between two of the planes that are tried, the tip is so far from both of its neighbours at most;
         // the wall can be nearer by no more than that.
         let between_mm = |angle_deg: f64| {

@@ -1,13 +1,13 @@
-//! Simulated recordings: a vessel that is known exactly, a catheter that moves through it, a probe that sees its
-//! wall, and noise.
+//! Simulated recordings: a vessel of known geometry, a catheter that moves through it, a probe that measures distances to
+//! its wall, and noise.
 //!
-//! Phantom or any surface → [`Vessel`] → [`Insertion`] → [`Probe`] → [`Noise`] → [`Simulation`].
+//! Phantom or any surface → [`SimulatedVessel`] → [`Insertion`] → [`Probe`] → [`Noise`] → [`Simulation`].
 //!
 //! ```
-//! use lumenmesh::simulate::{Insertion, Phantom, Settings, Shape, Simulation};
+//! use lumenmesh::simulate::{Insertion, Phantom, SimulationSettings, Shape, Simulation};
 //!
 //! let vessel = Phantom::from("cylinder".parse::<Shape>()?).vessel()?;
-//! let settings = Settings { insertion: Insertion::steady(), ..Settings::default() };
+//! let settings = SimulationSettings { insertion: Insertion::steady(), ..SimulationSettings::default() };
 //! let simulation = Simulation::run(vessel, &settings)?;
 //! assert_eq!(simulation.recording.frames.len(), simulation.truth_recording.frames.len());
 //! # Ok::<(), lumenmesh::Error>(())
@@ -28,7 +28,7 @@ pub use noise::{ContourNoise, Noise};
 pub use phantom::{Phantom, Shape};
 pub use probe::Probe;
 pub use tracker::TrackerNoise;
-pub use vessel::Vessel;
+pub use vessel::SimulatedVessel;
 
 use crate::geometry::Pose;
 use crate::recording::CylinderModel;
@@ -39,26 +39,26 @@ use noise::FrameNoise;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// All that decides what a simulated recording looks like, but for the vessel.
+/// All settings of a simulated recording except the vessel.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
-    /// How the catheter moves.
+pub struct SimulationSettings {
+    /// Motion of the catheter.
     pub insertion: Insertion,
-    /// What the probe sees.
+    /// The probe.
     pub probe: Probe,
-    /// What goes wrong.
+    /// Noise and faults.
     pub noise: Noise,
     /// Whether every frame carries a local cylinder: the tangent of the centreline at its point nearest to the
     /// tip, and the inscribed radius there, with the noise that [`Noise`] asks for.
     pub cylinders: bool,
 }
 
-impl Settings {
-    /// Refuses what cannot be simulated in any vessel.
+impl SimulationSettings {
+    /// Checks what does not depend on the vessel.
     ///
     /// # Errors
-    /// [`Error::Setting`] with the first setting to blame.
+    /// [`Error::Setting`] with the first setting out of range.
     pub fn validate(&self) -> Result<()> {
         self.insertion.validate()?;
         self.probe.validate()?;
@@ -66,15 +66,15 @@ impl Settings {
     }
 }
 
-/// A simulated recording and the truth that it shows.
+/// A simulated recording and its truth.
 #[derive(Debug, Clone)]
 pub struct Simulation {
-    /// What tracker and probe deliver. The probe is the sensor: `eTi` is the identity.
+    /// The recording with noise. The probe is the sensor: `eTi` is the identity.
     pub recording: Recording,
     /// The same frames without any fault, in the vessel at rest: true poses, wall points exactly on the wall.
     pub truth_recording: Recording,
     /// The vessel.
-    pub vessel: Vessel,
+    pub vessel: SimulatedVessel,
     /// Bends that were reduced to keep the tip in the lumen.
     pub reduced_bends: Vec<ReducedBend>,
 }
@@ -85,17 +85,17 @@ impl Simulation {
     /// # Errors
     /// [`Error::Setting`] for settings that are out of range or do not suit the vessel, [`Error::Surface`] where
     /// the catheter's tip would leave the lumen.
-    pub fn run(vessel: Vessel, settings: &Settings) -> Result<Self> {
+    pub fn run(vessel: SimulatedVessel, settings: &SimulationSettings) -> Result<Self> {
         Self::run_and_tell(vessel, settings, &|_, _| ())
     }
 
-    /// [`Simulation::run`] that tells how far it is: `tell(frames done, frames in all)`, from any thread.
+    /// As [`Simulation::run`], with progress: `tell(frames done, frames in all)` is called from any thread.
     ///
     /// # Errors
     /// As [`Simulation::run`].
     pub fn run_and_tell(
-        vessel: Vessel,
-        settings: &Settings,
+        vessel: SimulatedVessel,
+        settings: &SimulationSettings,
         tell: &(dyn Fn(usize, usize) + Sync),
     ) -> Result<Self> {
         settings.validate()?;
@@ -129,13 +129,13 @@ impl Simulation {
 
 /// Frame `k` as recorded, and in truth.
 fn frame(
-    vessel: &Vessel,
-    settings: &Settings,
+    vessel: &SimulatedVessel,
+    settings: &SimulationSettings,
     path: &insertion::Path,
     k: usize,
     drift: (DVec3, DVec3),
 ) -> (Frame, Frame) {
-    let Settings { probe, noise, .. } = settings;
+    let SimulationSettings { probe, noise, .. } = settings;
     let time_s = path.time_s(k);
     let tip = path.tip(time_s);
     let true_ranges = probe.ranges_mm(vessel, &tip);
@@ -206,7 +206,7 @@ fn local_cylinder(
 }
 
 fn within(name: &'static str, value: f64, low: f64, high: f64) -> Result<()> {
-    // Not a number is in no range.
+    // NaN is in no range.
     if (low..=high).contains(&value) {
         Ok(())
     } else {

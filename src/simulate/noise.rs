@@ -1,4 +1,4 @@
-//! What keeps a recording from being perfect.
+//! Noise of the tracker and the contours, and motion of the vessel.
 
 use super::within;
 use crate::Result;
@@ -29,7 +29,7 @@ pub enum ContourNoise {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Noise {
-    /// Where all random numbers start from.
+    /// Seed of all random numbers.
     pub seed: u64,
     /// Standard deviation of the tracked position, mm, in each axis.
     pub position_sd_mm: f64,
@@ -72,7 +72,7 @@ impl Default for Noise {
 }
 
 impl Noise {
-    /// No fault at all.
+    /// No noise.
     pub fn none() -> Self {
         Self {
             seed: 1,
@@ -93,7 +93,7 @@ impl Noise {
         }
     }
 
-    /// Refuses what is no noise.
+    /// Checks the settings.
     ///
     /// # Errors
     /// [`Error::Setting`](crate::Error::Setting).

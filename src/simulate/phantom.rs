@@ -1,8 +1,8 @@
-//! Vessels made from formulas.
+//! Vessels defined by formulas.
 
 use super::branching::{self, Limb};
 use super::centreline::Centreline;
-use super::vessel::Vessel;
+use super::vessel::SimulatedVessel;
 use super::within;
 use crate::surface::Surface;
 use crate::{Error, Result};
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::str::FromStr;
 
-/// A vessel made from formulas: a tube about a smooth curve, or several that branch, open at its ends. Its
+/// A vessel defined by formulas: a tube about a smooth curve, or several that branch, open at its ends. Its
 /// centrelines start at the origin along +z.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -212,7 +212,7 @@ impl Phantom {
     ///
     /// # Errors
     /// [`Error::Setting`] where [`Phantom::validate`] refuses the dimensions.
-    pub fn vessel(&self) -> Result<Vessel> {
+    pub fn vessel(&self) -> Result<SimulatedVessel> {
         self.validate()?;
         if let Some(branching) = self.branching() {
             return branching.vessel(self.edge_mm);
@@ -220,10 +220,10 @@ impl Phantom {
         // No shape is wider than its widest radius all along.
         not_too_fine(self.edge_mm, TAU * self.widest_mm() * self.length_mm() / self.edge_mm.powi(2))?;
         let curve = Curve::integrate(self.length_mm(), |s| self.curvature(s));
-        Vessel::new(self.wall(&curve), vec![self.centreline(&curve)?])
+        SimulatedVessel::new(self.wall(&curve), vec![self.centreline(&curve)?])
     }
 
-    /// Refuses dimensions that make no tube.
+    /// Checks the dimensions.
     ///
     /// # Errors
     /// [`Error::Setting`].
@@ -447,7 +447,7 @@ impl Phantom {
 }
 
 impl Branching {
-    fn vessel(self, edge_mm: f64) -> Result<Vessel> {
+    fn vessel(self, edge_mm: f64) -> Result<SimulatedVessel> {
         let inside = |p: DVec3| p.z <= self.cut_z_mm && p.x <= self.cut_x_mm;
         let mut limbs: Vec<Limb> = self.trunk.into_iter().collect();
         for (curve, radius_mm) in &self.branches {
@@ -473,20 +473,20 @@ impl Branching {
         let low = low.with_z(0.0);
         let high = high.min(DVec3::new(self.cut_x_mm, f64::INFINITY, self.cut_z_mm));
         not_too_fine(edge_mm, ((high - low) / edge_mm).element_product())?;
-        Vessel::new(branching::wall(&limbs, low, high, edge_mm), centrelines)
+        SimulatedVessel::new(branching::wall(&limbs, low, high, edge_mm), centrelines)
     }
 }
 
 /// Refuses edges so short that the wall does not fit in memory.
 fn not_too_fine(edge_mm: f64, pieces: f64) -> Result<()> {
-    const MOST: f64 = 3e7;
-    if pieces <= MOST {
+    const MAX_PIECES: f64 = 3e7;
+    if pieces <= MAX_PIECES {
         return Ok(());
     }
     Err(Error::Setting {
         name: "vessel.edge_mm",
         found: format!("{edge_mm}, which makes {pieces:.0} pieces"),
-        expected: format!("longer edges, at most {MOST:.0} pieces"),
+        expected: format!("longer edges, at most {MAX_PIECES:.0} pieces"),
     })
 }
 

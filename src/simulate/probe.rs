@@ -1,6 +1,6 @@
-//! What the ultrasound probe sees.
+//! The ultrasound probe.
 
-use super::vessel::Vessel;
+use super::vessel::SimulatedVessel;
 use super::within;
 use crate::geometry::Pose;
 use crate::{Error, Result};
@@ -14,7 +14,7 @@ use std::f64::consts::TAU;
 pub struct Probe {
     /// Rays per frame; ray j leaves at the angle 2πj/rays from x towards y.
     pub rays: usize,
-    /// A wall further away gives no echo, mm.
+    /// Walls farther away give no echo, mm.
     pub range_mm: f64,
 }
 
@@ -25,7 +25,7 @@ impl Default for Probe {
 }
 
 impl Probe {
-    /// Refuses what is no probe.
+    /// Checks the settings.
     ///
     /// # Errors
     /// [`Error::Setting`].
@@ -46,14 +46,14 @@ impl Probe {
     }
 
     /// Distance to the wall along each ray, mm; NaN: no wall within range.
-    pub fn ranges_mm(&self, vessel: &Vessel, world_from_probe: &Pose) -> Vec<f64> {
+    pub fn ranges_mm(&self, vessel: &SimulatedVessel, world_from_probe: &Pose) -> Vec<f64> {
         self.ranges_in_scaled_mm(vessel, world_from_probe, DVec3::ZERO, 1.0)
     }
 
     /// The same in a vessel that is enlarged by `scale` about a point: scaling the ray down instead is exact.
     pub(super) fn ranges_in_scaled_mm(
         &self,
-        vessel: &Vessel,
+        vessel: &SimulatedVessel,
         world_from_probe: &Pose,
         about_mm: DVec3,
         scale: f64,

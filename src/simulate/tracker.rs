@@ -1,4 +1,4 @@
-//! How much a real tracker shakes.
+//! Noise of a real tracker.
 
 use super::noise::Noise;
 use crate::{Error, Result};
@@ -39,7 +39,7 @@ fn valid() -> u8 {
     1
 }
 
-/// A sensor that lies still stays within this box, mm: no tracker in use shakes by more.
+/// A sensor that lies still stays within a box of this size, mm: the noise of trackers in use is smaller.
 const STILL_MM: f64 = 5.0;
 
 impl TrackerNoise {

@@ -1,27 +1,27 @@
-//! The truth: a vessel's wall and the curves down its middle.
+//! The truth: a vessel's wall and the centrelines of its branches.
 
 use super::centreline::Centreline;
+use crate::evaluate::Locator;
 use crate::surface::Surface;
 use crate::{Error, Result};
 use glam::DVec3;
-use parry3d_f64::query::{PointQuery, Ray, RayCast};
-use parry3d_f64::shape::TriMesh;
 
-/// A vessel to simulate in: its wall, known exactly, and the centrelines of its branches.
+/// A vessel of known geometry: its wall and the centrelines of its branches.
 ///
 /// The wall is one piece with open ends; its triangles run counter-clockwise seen from outside.
 #[derive(Debug, Clone)]
-pub struct Vessel {
+pub struct SimulatedVessel {
     surface: Surface,
     branches: Vec<Centreline>,
     notes: Vec<String>,
-    wall: TriMesh,
+    /// Casts rays on the wall, and measures distances to it.
+    wall: Locator,
 }
 
-impl Vessel {
+impl SimulatedVessel {
     /// A vessel from any triangle surface and at least one centreline.
     ///
-    /// Two faults are repaired, and said in [`Vessel::notes`]: pieces beside the largest one are dropped, and
+    /// Two faults are repaired and listed in [`SimulatedVessel::notes`]: pieces beside the largest one are dropped, and
     /// triangles are turned so that their normals point out of the lumen.
     ///
     /// # Errors
@@ -34,10 +34,9 @@ impl Vessel {
         if branches.is_empty() {
             return Err(wrong("centreline", "none", "at least one branch"));
         }
-        let wall = TriMesh::new(surface.nodes_mm.clone(), surface.triangles.clone())
-            .map_err(|e| wrong("triangles", e, "a triangle surface"))?;
+        let wall = Locator::new(&surface)?;
         let mut vessel = Self { surface, branches, notes, wall };
-        vessel.turn_outward();
+        vessel.turn_outward()?;
         vessel.check_centrelines()?;
         Ok(vessel)
     }
@@ -52,14 +51,14 @@ impl Vessel {
         &self.branches
     }
 
-    /// What was repaired or looks odd, in plain words; empty for a sound vessel.
+    /// Repairs and doubts, in words; empty for a sound vessel.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// How far from `origin_mm` the first wall in the unit `direction` is, mm; `None` beyond `range_mm`.
+    /// Distance from `origin_mm` to the first wall along the unit `direction`, mm; `None` beyond `range_mm`.
     pub fn cast_mm(&self, origin_mm: DVec3, direction: DVec3, range_mm: f64) -> Option<f64> {
-        let cast = |direction| self.wall.cast_local_ray(&Ray::new(origin_mm, direction), range_mm, false);
+        let cast = |direction| self.wall.cast(origin_mm, direction, range_mm).map(|(_, distance)| distance);
         // A ray that meets an edge exactly can slip between its two triangles in rounding. A ray a hair beside it
         // does not, and meets the wall at the same distance to far below a nanometre.
         cast(direction).or_else(|| {
@@ -70,17 +69,16 @@ impl Vessel {
 
     /// Distance from a point to the wall, mm, never negative.
     pub fn distance_mm(&self, point_mm: DVec3) -> f64 {
-        self.wall.distance_to_local_point(point_mm, false).abs()
+        self.wall.distance_mm(point_mm)
     }
 
-    /// Whether the straight way between two points meets the wall.
+    /// Whether the segment between two points meets the wall.
     pub(super) fn wall_between(&self, from_mm: DVec3, to_mm: DVec3) -> bool {
         let way = to_mm - from_mm;
         way.try_normalize().is_some_and(|direction| self.cast_mm(from_mm, direction, way.length()).is_some())
     }
 
-    /// Of the rays across the centreline at `s_mm`: how many meet the wall from its inside, and how many from
-    /// its outside.
+    /// Numbers of rays across the centreline at `s_mm` that meet the wall from its inside and from its outside.
     fn rays_across(&self, branch: &Centreline, s_mm: f64) -> (usize, usize) {
         let frame = branch.frame(s_mm);
         let (mut inside, mut outside) = (0, 0);
@@ -88,10 +86,8 @@ impl Vessel {
             // A turn of half a step keeps the rays off the edges of a regular grid of triangles.
             let angle = (i as f64 + 0.5) / RAYS_ACROSS as f64 * std::f64::consts::TAU;
             let direction = frame.rotation.x_axis * angle.cos() + frame.rotation.y_axis * angle.sin();
-            let ray = Ray::new(frame.translation_mm, direction);
-            if let Some(hit) = self.wall.cast_local_ray_and_get_normal(&ray, f64::MAX, false)
-                && let Some([a, b, c]) = self.corners(hit.subshape as usize)
-            {
+            if let Some((triangle, _)) = self.wall.cast(frame.translation_mm, direction, f64::MAX) {
+                let [a, b, c] = self.surface.corners_mm(triangle as usize);
                 if (b - a).cross(c - a).dot(direction) > 0.0 {
                     inside += 1;
                 } else {
@@ -102,13 +98,8 @@ impl Vessel {
         (inside, outside)
     }
 
-    fn corners(&self, triangle: usize) -> Option<[DVec3; 3]> {
-        let corners = self.surface.triangles.get(triangle)?;
-        Some(corners.map(|node| self.surface.nodes_mm[node as usize]))
-    }
-
-    /// Turns all triangles where the rays from the centrelines meet more of them from outside than from inside.
-    fn turn_outward(&mut self) {
+    /// Reverses all triangles where more rays from the centrelines meet the wall from outside than from inside.
+    fn turn_outward(&mut self) -> Result<()> {
         let (inside, outside) = self
             .branches
             .iter()
@@ -116,10 +107,13 @@ impl Vessel {
             .map(|(branch, s)| self.rays_across(branch, s))
             .fold((0, 0), |sum, n| (sum.0 + n.0, sum.1 + n.1));
         if outside > inside {
-            self.surface.triangles.iter_mut().for_each(|t| t.swap(1, 2));
-            self.wall.reverse();
+            // Which corner comes first decides the last digit of a ray's length: it is another for rays than for files.
+            self.surface.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+            self.wall = Locator::new(&self.surface)?;
+            self.surface.triangles.iter_mut().for_each(|t| t.rotate_left(1));
             self.notes.push("normals pointed into the lumen: turned outward".into());
         }
+        Ok(())
     }
 
     fn check_centrelines(&self) -> Result<()> {
@@ -221,7 +215,7 @@ fn orient(surface: &mut Surface, notes: &mut Vec<String>) {
             surface.triangles.len()
         ));
     }
-    // Whether the majority points out or in is for the centreline to say; here the minority follows.
+    // The centrelines decide later whether the majority points outward; here the minority is made to agree with it.
     let minority_is_turned = 2 * turns[largest] <= sizes[largest];
     let odd = turns[largest].min(sizes[largest] - turns[largest]);
     if odd > 0 {

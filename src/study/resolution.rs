@@ -1,4 +1,4 @@
-//! Resolution and iterations against error and time, on one recording whose truth is known: what the thesis leaves as
+//! Fitting error and time by resolution and iterations, on one recording whose truth is known: the thesis leaves this as
 //! future work.
 
 use crate::cylinders::CylinderReconstruction;
@@ -13,8 +13,8 @@ use std::path::Path;
 
 /// The settings to try: every combination of the three lists.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Grid {
-    /// Nodes a ring.
+pub struct StudyGrid {
+    /// Nodes per ring.
     pub nodes: Vec<u32>,
     /// Levels of faces.
     pub levels: Vec<u32>,
@@ -22,7 +22,7 @@ pub struct Grid {
     pub iterations: Vec<u32>,
 }
 
-impl Grid {
+impl StudyGrid {
     /// The combinations, the iterations changing fastest; each once.
     pub fn cells(&self) -> Vec<Cell> {
         let mut cells = Vec::new();
@@ -43,7 +43,7 @@ impl Grid {
 /// One combination.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cell {
-    /// Nodes a ring.
+    /// Nodes per ring.
     pub nodes: u32,
     /// Levels of faces.
     pub levels: u32,
@@ -51,12 +51,12 @@ pub struct Cell {
     pub iterations: u32,
 }
 
-/// What one combination gave.
+/// The result of one combination.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Row {
+pub struct StudyRow {
     /// Checksum of recording, truth and the settings that the grid does not change.
     pub inputs: String,
-    /// Nodes a ring.
+    /// Nodes per ring.
     pub nodes: u32,
     /// Levels of faces.
     pub levels: u32,
@@ -74,11 +74,11 @@ pub struct Row {
     pub ms_per_cylinder: f64,
     /// The engine that was timed.
     pub engine: String,
-    /// Threads that it could use.
+    /// Threads available to it.
     pub threads: usize,
 }
 
-impl Row {
+impl StudyRow {
     /// The combination.
     pub fn cell(&self) -> Cell {
         Cell { nodes: self.nodes, levels: self.levels, iterations: self.iterations }
@@ -112,7 +112,7 @@ impl<'a> Study<'a> {
     ///
     /// # Errors
     /// As [`CylinderReconstruction::of`] and [`evaluate`].
-    pub fn measure(&self, cell: Cell, engine: &dyn Engine, repeats: usize) -> Result<Row> {
+    pub fn measure(&self, cell: Cell, engine: &dyn Engine, repeats: usize) -> Result<StudyRow> {
         let Cell { nodes, levels, iterations } = cell;
         let settings = Settings { nodes, levels, iterations, ..self.settings.clone() };
         let mut times = Vec::new();
@@ -125,7 +125,7 @@ impl<'a> Study<'a> {
             }
             times.sort_unstable_by(f64::total_cmp);
             let evaluation = evaluate(&done.vessel.surface(), self.truth)?;
-            return Ok(Row {
+            return Ok(StudyRow {
                 inputs: self.inputs.clone(),
                 nodes,
                 levels,
@@ -141,17 +141,17 @@ impl<'a> Study<'a> {
         }
     }
 
-    /// Measures the combinations that `rows` lacks, one after another, and hands over all rows after each.
+    /// Measures the combinations that `rows` lacks, one after another, and calls `keep` with all rows after each.
     ///
     /// # Errors
-    /// As [`Study::measure`], and what `keep` says.
+    /// As [`Study::measure`], and those of `keep`.
     pub fn run(
         &self,
-        grid: &Grid,
+        grid: &StudyGrid,
         engine: &dyn Engine,
         repeats: usize,
-        rows: &mut Vec<Row>,
-        mut keep: impl FnMut(&[Row]) -> Result<()>,
+        rows: &mut Vec<StudyRow>,
+        mut keep: impl FnMut(&[StudyRow]) -> Result<()>,
     ) -> Result<()> {
         for cell in grid.cells() {
             if !rows.iter().any(|row| row.cell() == cell) {
@@ -166,14 +166,14 @@ impl<'a> Study<'a> {
     ///
     /// # Errors
     /// [`Error::UnknownEnding`]; [`Error::Input`] where the file holds something else or the results of other inputs.
-    pub fn read(&self, path: &Path) -> Result<Vec<Row>> {
+    pub fn read(&self, path: &Path) -> Result<Vec<StudyRow>> {
         check_ending(path)?;
         let bytes = match std::fs::read(path) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
             read => read.map_err(|source| Error::Read { path: path.into(), source })?,
         };
         let broken = |e: String| Error::input(path, "rows", e, "results of a study");
-        let rows: Vec<Row> = match ending(path).as_str() {
+        let rows: Vec<StudyRow> = match ending(path).as_str() {
             "json" => serde_json::from_slice(&bytes).map_err(|e| broken(e.to_string()))?,
             _ => csv::Reader::from_reader(bytes.as_slice())
                 .into_deserialize()
@@ -196,7 +196,7 @@ impl<'a> Study<'a> {
 ///
 /// # Errors
 /// [`Error::UnknownEnding`], [`Error::Write`]; the file is either as before or whole.
-pub fn write(rows: &[Row], path: &Path) -> Result<()> {
+pub fn write(rows: &[StudyRow], path: &Path) -> Result<()> {
     check_ending(path)?;
     let json = ending(path) == "json";
     write_atomically(path, |w| {
@@ -217,8 +217,8 @@ fn check_ending(path: &Path) -> Result<()> {
     }
 }
 
-/// The rows that no other row beats in both error and time, fastest first, as indices.
-pub fn pareto_front(rows: &[Row]) -> Vec<usize> {
+/// Indices of the rows that no other row surpasses in both error and time, fastest first.
+pub fn pareto_front(rows: &[StudyRow]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..rows.len()).collect();
     order.sort_by(|&a, &b| {
         let time = rows[a].ms_per_cylinder.total_cmp(&rows[b].ms_per_cylinder);
@@ -234,7 +234,7 @@ pub fn pareto_front(rows: &[Row]) -> Vec<usize> {
 }
 
 /// The row with the least error among those that take at most so long for a cylinder.
-pub fn best_within(rows: &[Row], budget_ms: f64) -> Option<&Row> {
+pub fn best_within(rows: &[StudyRow], budget_ms: f64) -> Option<&StudyRow> {
     let affordable = rows.iter().filter(|row| row.ms_per_cylinder <= budget_ms);
     affordable.min_by(|a, b| a.mean_mm.total_cmp(&b.mean_mm))
 }
@@ -265,8 +265,8 @@ fn checksum(recording: &Recording, truth: &Truth, settings: &Settings) -> Result
 mod tests {
     use super::*;
 
-    fn row(mean_mm: f64, ms_per_cylinder: f64) -> Row {
-        Row {
+    fn row(mean_mm: f64, ms_per_cylinder: f64) -> StudyRow {
+        StudyRow {
             inputs: "00000000".into(),
             nodes: 12,
             levels: 5,
@@ -297,7 +297,7 @@ mod tests {
 
     #[test]
     fn a_grid_has_each_combination_once() {
-        let grid = Grid { nodes: vec![12, 24, 12], levels: vec![5], iterations: vec![1, 3] };
+        let grid = StudyGrid { nodes: vec![12, 24, 12], levels: vec![5], iterations: vec![1, 3] };
         let cells: Vec<_> = grid.cells().iter().map(|c| (c.nodes, c.levels, c.iterations)).collect();
         assert_eq!(cells, [(12, 5, 1), (12, 5, 3), (24, 5, 1), (24, 5, 3)]);
     }

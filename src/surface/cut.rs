@@ -1,4 +1,4 @@
-//! Where a plane cuts a surface.
+//! Intersection of a surface with a plane.
 
 use super::Surface;
 use crate::Result;
@@ -6,19 +6,19 @@ use crate::geometry::{Pose, polygon};
 use glam::DVec2;
 use std::collections::BTreeMap;
 
-/// What a plane and a surface have in common.
+/// The curves in which a plane cuts a surface.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Cut {
     /// The closed curves.
-    pub outlines: Vec<Outline>,
-    /// How many curves are not closed: the plane crosses an opening of the surface, or more than two triangles meet
+    pub outlines: Vec<SectionOutline>,
+    /// Number of curves that are not closed: the plane crosses an opening of the surface, or more than two triangles meet
     /// in an edge.
     pub open: usize,
 }
 
 /// A closed polygon in a plane, in the plane's own coordinates; the last point joins the first.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Outline {
+pub struct SectionOutline {
     /// Its points, mm.
     pub points_mm: Vec<DVec2>,
 }
@@ -36,7 +36,7 @@ impl Surface {
         let nodes: Vec<_> = self.nodes_mm.iter().map(|&n| plane_from_world.transform_point(n)).collect();
         let above = |node: u32| nodes[node as usize].z >= 0.0;
 
-        // Every cut edge is a point of the curves, every cut triangle joins two of them.
+        // Every cut edge gives a point of the curves, and every cut triangle joins two of them.
         let mut points_mm: Vec<DVec2> = Vec::new();
         let mut joined: Vec<Vec<usize>> = Vec::new();
         let mut by_edge: BTreeMap<[u32; 2], usize> = BTreeMap::new();
@@ -67,7 +67,8 @@ impl Surface {
             }
             let curve = curve_from(start, &joined, &mut seen);
             if curve.len() > 2 && curve.iter().all(|&p| joined[p].len() == 2) {
-                cut.outlines.push(Outline { points_mm: curve.iter().map(|&p| points_mm[p]).collect() });
+                cut.outlines
+                    .push(SectionOutline { points_mm: curve.iter().map(|&p| points_mm[p]).collect() });
             } else {
                 cut.open += 1;
             }
@@ -76,7 +77,7 @@ impl Surface {
     }
 }
 
-/// All points that hang together with one; in their order along the curve where each has two neighbours.
+/// All points connected with one, in their order along the curve where each has two neighbours.
 fn curve_from(start: usize, joined: &[Vec<usize>], seen: &mut [bool]) -> Vec<usize> {
     let mut curve = Vec::new();
     let mut next = vec![start];
@@ -89,7 +90,7 @@ fn curve_from(start: usize, joined: &[Vec<usize>], seen: &mut [bool]) -> Vec<usi
     curve
 }
 
-impl Outline {
+impl SectionOutline {
     fn edges(&self) -> impl Iterator<Item = (DVec2, DVec2)> + '_ {
         let points = &self.points_mm;
         points.iter().copied().zip(points.iter().copied().cycle().skip(1))
@@ -132,7 +133,7 @@ impl Outline {
     }
 
     /// The shortest and the longest chord through the centroid, mm, among directions half a degree apart. A chord ends
-    /// where it first meets the curve. `None` where the centroid lies outside.
+    /// at its first intersections with the curve. `None` where the centroid lies outside.
     pub fn diameters_mm(&self) -> Option<[f64; 2]> {
         const DIRECTIONS: u32 = 360;
         let centroid = self.centroid_mm();
@@ -151,7 +152,7 @@ impl Outline {
         })
     }
 
-    /// Where the line through a point meets the curve, as distances along a unit direction, mm.
+    /// Intersections of the line through a point with the curve, as distances along a unit direction, mm.
     fn crossings(&self, point_mm: DVec2, direction: DVec2) -> impl Iterator<Item = f64> + '_ {
         self.edges().filter_map(move |(p, q)| {
             let (p, q) = (p - point_mm, q - point_mm);
@@ -168,7 +169,7 @@ mod tests {
     use glam::{DQuat, DVec3};
     use std::f64::consts::TAU;
 
-    /// A tube about z of 200 nodes a ring and the given radii at z = 0, 1, 2, …, squeezed by half along y.
+    /// A tube about z of 200 nodes per ring and the given radii at z = 0, 1, 2, …, squeezed by half along y.
     fn tube(radii_mm: &[f64]) -> Surface {
         let mut surface = Surface::default();
         for (z, r) in radii_mm.iter().enumerate() {

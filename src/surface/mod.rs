@@ -1,10 +1,10 @@
-//! Triangle surfaces with arrays over their nodes, and the files that hold them.
+//! Triangle surfaces with arrays over their nodes, and their file formats.
 
 mod cut;
 mod formats;
 mod topology;
 
-pub use cut::{Cut, Outline};
+pub use cut::{Cut, SectionOutline};
 pub use topology::Topology;
 
 use crate::{Error, Result, output};
@@ -26,8 +26,8 @@ pub struct NodeArray {
 
 /// A triangle surface.
 ///
-/// What is read has passed [`check`](Self::check), and what is written or evaluated must. Methods that measure a
-/// surface made in memory rely on it too: they index by its triangles.
+/// Surfaces that were read have passed [`check`](Self::check), and those that are written or evaluated must pass it. Methods
+/// that measure a surface made in memory rely on it too: they index by its triangles.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Surface {
     /// Node positions, mm.
@@ -104,11 +104,11 @@ impl Surface {
         output::write_atomically(path, |w| write(self, w))
     }
 
-    /// That positions are finite, every triangle's indices name nodes and every array has a name of its own and one
-    /// value per node.
+    /// Checks that positions are finite, that the indices of every triangle name nodes, and that every array has a unique
+    /// name and one value per node.
     ///
     /// # Errors
-    /// [`Error::Surface`] with the first that does not.
+    /// [`Error::Surface`] with the first violation.
     pub fn check(&self) -> Result<()> {
         if let Some(node) = self.nodes_mm.iter().position(|p| !p.is_finite()) {
             return Err(Error::Surface {

@@ -1,4 +1,4 @@
-//! What holds a surface together, and its normals.
+//! Topology and normals of a surface.
 
 use super::Surface;
 use glam::DVec3;
@@ -8,7 +8,7 @@ use serde::Serialize;
 /// noise.
 const SMALLEST_AREA_RATIO: f64 = 1e-12;
 
-/// How the triangles of a surface hang together.
+/// How the triangles of a surface are connected.
 ///
 /// Triangles that name a node twice count as degenerate and nowhere else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -53,7 +53,7 @@ impl Topology {
 type DirectedEdge = (u32, u32, bool);
 
 impl Surface {
-    /// How its triangles hang together.
+    /// How its triangles are connected.
     pub fn topology(&self) -> Topology {
         let whole: Vec<[u32; 3]> = self.triangles.iter().copied().filter(|&t| has_three_nodes(t)).collect();
         let mut topology = Topology { triangles: whole.len(), ..Topology::default() };

@@ -1,30 +1,21 @@
 //! Whole recordings.
 
+#[path = "../support/required.rs"]
+mod required;
+
+pub use required::shared;
+
 use crate::cylinders::{assert_all_agree, assert_same};
-use crate::device::{device, say};
+use crate::device::device;
 use crate::sections::recording;
-use lumenmesh::cylinders::merge::Vessel;
+use lumenmesh::cylinders::merge::MergedVessel;
 use lumenmesh::cylinders::{CpuEngine, Engine, FitRequest, Track, merged_frames};
 use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Outliers, Settings, Statistic};
 use lumenmesh::surface::Surface;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
-
-/// A file of the recorded data; `None`, said loudly, where that data is not there.
-pub fn shared(path: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("LUMENMESH_SHARED").unwrap_or_else(|| "../shared".into());
-    let file = PathBuf::from(folder).join(path);
-    if file.exists() {
-        return Some(file);
-    }
-    let required = std::env::var("LUMENMESH_REQUIRE_DATA").is_ok_and(|value| value == "1");
-    assert!(!required, "{} is missing", file.display());
-    say(&format!("SKIPPED: {} is missing (LUMENMESH_SHARED names the data's folder)", file.display()));
-    None
-}
 
 #[test]
 fn a_recording_fits_as_on_the_cpu_with_every_rule_and_grid() {
@@ -126,7 +117,7 @@ fn the_fitting_error_is_the_cpu_s() {
         let request = FitRequest::new(&track, &frames, &settings);
         let truth = Truth::new(Surface::read(&truth).unwrap()).unwrap();
         let [found, expected] = [&device.engine as &dyn Engine, &CpuEngine::<f32>::new()].map(|engine| {
-            let vessel = Vessel::of(&engine.fit(&request).unwrap(), settings.merge);
+            let vessel = MergedVessel::of(&engine.fit(&request).unwrap(), settings.merge);
             evaluate(&vessel.surface(), &truth).unwrap().mesh_to_truth.mean_mm
         });
         println!("{name}: fitting error {found:.6} mm on the device, {expected:.6} mm on the CPU");

@@ -15,7 +15,7 @@ use std::process::Command;
 
 fn stenosis() -> Recording {
     let vessel = Phantom::from("stenosis".parse::<Shape>().unwrap()).vessel().unwrap();
-    Simulation::run(vessel, &simulate::Settings::default()).unwrap().recording
+    Simulation::run(vessel, &simulate::SimulationSettings::default()).unwrap().recording
 }
 
 #[test]

@@ -62,7 +62,7 @@ fn agree(found: &Sweep, expected: &Sweep) -> Result<(), String> {
     }
 }
 
-fn simulated(shape: &str, settings: &simulate::Settings) -> Recording {
+fn simulated(shape: &str, settings: &simulate::SimulationSettings) -> Recording {
     let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
     Simulation::run(vessel, settings).unwrap().recording
 }
@@ -76,7 +76,10 @@ fn a_wall_is_the_cpu_s_with_noise_and_without() {
         ("small_arch", Noise::none(), 9, None),
     ] {
         let noise = Noise { seed, ..noise };
-        let recording = simulated(shape, &simulate::Settings { noise, ..simulate::Settings::default() });
+        let recording = simulated(
+            shape,
+            &simulate::SimulationSettings { noise, ..simulate::SimulationSettings::default() },
+        );
         let expected = Sweep::of(&recording, &settings(Backend::Cpu, nodes)).unwrap();
         let found = Sweep::of(&recording, &settings(Backend::Gpu, nodes)).unwrap();
         assert_eq!((found.report.engine.name.as_str(), expected.report.engine.name.as_str()), ("gpu", "cpu"));
@@ -127,7 +130,8 @@ fn thousands_of_rings_of_512_nodes_are_the_cpu_s() {
     let many: SweepCase = "512x1e6".parse().unwrap();
     let small = Noise { contour_sd_mm: 0.01, ..Noise::none() };
     let probe = Probe { rays: 512, ..Probe::default() };
-    let clean = simulate::Settings { noise: small, probe, ..simulate::Settings::default() };
+    let clean =
+        simulate::SimulationSettings { noise: small, probe, ..simulate::SimulationSettings::default() };
     for recording in [simulated("small_arch", &clean), many.recording(11)] {
         let start = std::time::Instant::now();
         let expected = Sweep::of(&recording, &settings(Backend::Cpu, Some(512))).unwrap();

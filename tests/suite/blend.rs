@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 use lumenmesh::cylinders::Tube;
-use lumenmesh::cylinders::merge::{Blend, Ring, Vessel};
+use lumenmesh::cylinders::merge::{Blend, MergedVessel, VesselRing};
 use lumenmesh::cylinders::{
     CpuEngine, DeformedTube, Engine, FitRequest, FittedCylinder, Track, merged_frames,
 };
@@ -51,19 +51,19 @@ fn straight(heights_mm: impl Iterator<Item = f64>) -> Vec<FittedCylinder> {
     heights_mm.enumerate().map(|(k, z)| cylinder(k, DVec3::Z * z, DVec3::Z, seen_all_round)).collect()
 }
 
-fn middle(ring: &Ring) -> DVec3 {
+fn middle(ring: &VesselRing) -> DVec3 {
     ring.nodes_mm.iter().sum::<DVec3>() / ring.nodes_mm.len() as f64
 }
 
 /// The normal of a ring's plane.
-fn normal(ring: &Ring) -> DVec3 {
+fn normal(ring: &VesselRing) -> DVec3 {
     let middle = middle(ring);
     let quarter = ring.nodes_mm.len() / 4;
     (ring.nodes_mm[0] - middle).cross(ring.nodes_mm[quarter] - middle).normalize()
 }
 
 /// Whether every ring lies wholly before the next one.
-fn in_order(rings: &[Ring]) -> bool {
+fn in_order(rings: &[VesselRing]) -> bool {
     rings.windows(2).all(|pair| {
         let [(a, n), (b, m)] = [&pair[0], &pair[1]].map(|ring| (middle(ring), normal(ring)));
         pair[1].nodes_mm.iter().all(|p| (p - a).dot(n) > 0.0)
@@ -74,7 +74,7 @@ fn in_order(rings: &[Ring]) -> bool {
 #[test]
 fn equal_cylinders_give_their_tube() {
     // Steps that do not fit the rings: partly overlapping weights must still sum to one.
-    let vessel = Vessel::of(&straight((0..40).map(|k| 0.7 * f64::from(k))), Merge::Blend);
+    let vessel = MergedVessel::of(&straight((0..40).map(|k| 0.7 * f64::from(k))), Merge::Blend);
     assert!(vessel.rings.len() > 12, "{}", vessel.rings.len());
     assert!(in_order(&vessel.rings));
     for ring in &vessel.rings {
@@ -91,7 +91,7 @@ fn equal_cylinders_give_their_tube() {
 fn a_cylinder_of_another_size_leaves_no_step() {
     let mut cylinders = straight((0..40).map(|k| 0.7 * f64::from(k)));
     cylinders[20].tube.radii_mm.fill(RADIUS_MM + 1.0);
-    let vessel = Vessel::of(&cylinders, Merge::Blend);
+    let vessel = MergedVessel::of(&cylinders, Merge::Blend);
     // Rings lie at even heights; the large cylinder reaches from 9 to 19.
     let excess = |z: f64| {
         let ring = vessel.rings.iter().find(|r| (middle(r).z - z).abs() < 1e-6).unwrap();
@@ -120,7 +120,7 @@ fn bent(bend_mm: f64) -> Vec<FittedCylinder> {
 #[test]
 fn a_bend_keeps_its_rings_in_order_and_its_nodes_in_line() {
     let bend_mm = 30.0;
-    let vessel = Vessel::of(&bent(bend_mm), Merge::Blend);
+    let vessel = MergedVessel::of(&bent(bend_mm), Merge::Blend);
     assert!(vessel.rings.len() > 18 && in_order(&vessel.rings));
     let mut folded = vessel.rings.clone();
     folded.swap(5, 6);
@@ -145,7 +145,7 @@ fn a_catheter_that_rests_and_goes_back_leaves_the_same_tube() {
     let there = (0..40).map(|k| 0.7 * f64::from(k));
     let back = (0..30).map(|k| 20.0 - 0.9 * f64::from(k));
     let heights = there.chain(std::iter::repeat_n(27.3, 50)).chain(back).chain((0..50).map(f64::from));
-    let vessel = Vessel::of(&straight(heights), Merge::Blend);
+    let vessel = MergedVessel::of(&straight(heights), Merge::Blend);
     assert!(in_order(&vessel.rings));
     let [first, last] = [0, vessel.rings.len() - 1].map(|k| middle(&vessel.rings[k]).z);
     // From the farthest origin on either side, give or take a level.
@@ -163,12 +163,12 @@ fn a_cylinder_can_be_added_at_any_time_and_changes_what_it_overlaps() {
         blend.append(cylinder, &cylinder.tube.radii_mm);
         let after = blend.vessel();
         let origin = cylinder.world_from_cylinder.translation_mm;
-        let far = |ring: &&Ring| middle(ring).distance(origin) > TUBE.height_mm + RADIUS_MM;
+        let far = |ring: &&VesselRing| middle(ring).distance(origin) > TUBE.height_mm + RADIUS_MM;
         let [kept, left] = [&before, &after].map(|v| v.rings.iter().filter(far).cloned().collect::<Vec<_>>());
         assert_eq!(kept, left, "cylinder {k}");
         assert_ne!(before.rings, after.rings, "cylinder {k} had no say");
     }
-    assert_eq!(blend.vessel(), Vessel::of(&cylinders, Merge::Blend));
+    assert_eq!(blend.vessel(), MergedVessel::of(&cylinders, Merge::Blend));
 }
 
 #[test]
@@ -176,7 +176,7 @@ fn what_no_point_supports_does_not_count_as_measured() {
     // Behind the probe only, and not in a sector of three nodes.
     let seen = |z: f64, j: usize| if z < 0.0 && !(4..7).contains(&j) { 50 } else { 0 };
     let cylinders: Vec<_> = (0..30).map(|k| cylinder(k, DVec3::Z * k as f64, DVec3::Z, seen)).collect();
-    let vessel = Vessel::of(&cylinders, Merge::Blend);
+    let vessel = MergedVessel::of(&cylinders, Merge::Blend);
     assert!(vessel.rings.len() > 10);
     for ring in &vessel.rings {
         // No point lies ahead of the last origin.
@@ -197,12 +197,12 @@ fn what_no_point_supports_does_not_count_as_measured() {
             unseen.map(|(node, _)| node).filter(|node| TUBE.ring_z_mm(node / TUBE.nodes) > 0.0).collect();
         nodes.into_iter().for_each(|node| c.tube.radii_mm[node] = 3.0);
     }
-    let radii = |vessel: &Vessel| -> Vec<f64> {
+    let radii = |vessel: &MergedVessel| -> Vec<f64> {
         vessel.rings.iter().map(|r| r.nodes_mm[12].truncate().length()).collect()
     };
-    assert!(radii(&Vessel::of(&wrong, Merge::Blend)).iter().all(|r| (r - RADIUS_MM).abs() < 1e-9));
+    assert!(radii(&MergedVessel::of(&wrong, Merge::Blend)).iter().all(|r| (r - RADIUS_MM).abs() < 1e-9));
     let none: Vec<_> = (0..3).map(|k| cylinder(k, DVec3::ZERO, DVec3::Z, |_, _| 0)).collect();
-    assert!(Vessel::of(&none, Merge::Blend).rings.is_empty());
+    assert!(MergedVessel::of(&none, Merge::Blend).rings.is_empty());
 }
 
 #[test]
@@ -215,7 +215,7 @@ fn rings_in_a_branch_that_was_not_taken_go_away() {
     };
     cylinders.extend(branch(-1.0).take(8));
     cylinders.extend(branch(1.0));
-    let vessel = Vessel::of(&cylinders, Merge::Blend);
+    let vessel = MergedVessel::of(&cylinders, Merge::Blend);
     let end = middle(&vessel.rings[vessel.rings.len() - 1]);
     assert!(end.distance(DVec3::Z * 29.0 + lean * 39.0) < 3.0, "{end}");
 }
@@ -229,7 +229,7 @@ fn blending_is_nearer_to_the_truth_than_stitching() {
         } else {
             simulate::Noise::none()
         };
-        let settings = simulate::Settings { noise, ..Default::default() };
+        let settings = simulate::SimulationSettings { noise, ..Default::default() };
         let simulation = Simulation::run(vessel, &settings).unwrap();
         let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
         let settings = Settings::default();
@@ -237,7 +237,7 @@ fn blending_is_nearer_to_the_truth_than_stitching() {
         let frames = merged_frames(track.len(), &settings);
         let cylinders = CpuEngine::<f32>::new().fit(&FitRequest::new(&track, &frames, &settings)).unwrap();
         let [stitched, blended] = [Merge::Stitch, Merge::Blend].map(|merge| {
-            let surface = Vessel::of(&cylinders, merge).surface();
+            let surface = MergedVessel::of(&cylinders, merge).surface();
             surface.check().unwrap();
             evaluate(&surface, &truth).unwrap().mesh_to_truth.mean_mm
         });

@@ -9,7 +9,7 @@ use lumenmesh::evaluate::{LumenSection, read_values, sections};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Frame, Pullback, Recording};
 use lumenmesh::settings::Settings;
-use lumenmesh::surface::Outline;
+use lumenmesh::surface::SectionOutline;
 use lumenmesh::sweep::Sweep;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -113,7 +113,7 @@ fn the_lumen_area_is_that_measured_by_hand() {
 #[test]
 fn the_contours_themselves_have_the_areas_measured_by_hand() {
     for case in cases() {
-        let outline = |frame: &Frame| Outline { points_mm: frame.contour_mm.clone() };
+        let outline = |frame: &Frame| SectionOutline { points_mm: frame.contour_mm.clone() };
         let floor = case.differences(case.pullback.recording.frames.iter().map(|f| outline(f).area_mm2()));
         println!("{}: the floor is {:.3} %, largest {:.3} %", case.name, median(&floor), largest(&floor));
         // Areas are given to a hundredth of mm², of 4 mm² at least.

@@ -6,9 +6,9 @@ use glam::{DVec2, DVec3};
 use lumenmesh::cylinders::Track;
 use lumenmesh::cylinders::estimate::{CylinderEstimator, LocalEstimate, UnscentedFilter, WindowFit};
 use lumenmesh::geometry::Pose;
-use lumenmesh::recording::{Centreline, CylinderModel, Frame, Recording};
+use lumenmesh::recording::{CylinderModel, Frame, PullbackPath, Recording};
 use lumenmesh::settings::Settings;
-use lumenmesh::simulate::{self, Insertion, Move, Noise, Simulation, Vessel};
+use lumenmesh::simulate::{self, Insertion, Move, Noise, SimulatedVessel, Simulation};
 use std::f64::consts::TAU;
 
 fn median(mut numbers: Vec<f64>) -> f64 {
@@ -31,7 +31,7 @@ fn medians(given: &Recording, estimated: &Recording) -> [f64; 3] {
 }
 
 /// Medians over the frames of the cylinders' distance (mm) and angle (degrees) from the vessel's middle line.
-fn medians_from_vessel(recording: &Recording, vessel: &Centreline) -> [f64; 2] {
+fn medians_from_vessel(recording: &Recording, vessel: &PullbackPath) -> [f64; 2] {
     let samples = (vessel.length_mm() / 0.25) as usize;
     let points: Vec<DVec3> = (0..=samples).map(|i| vessel.point_mm(i as f64 * 0.25)).collect();
     let (mut distances, mut angles) = (Vec::new(), Vec::new());
@@ -87,7 +87,7 @@ fn estimates_agree_with_the_models_of_the_recordings() {
 #[test]
 fn estimates_lie_along_the_vessel_better_than_the_models_of_the_recordings() {
     let Some(line) = shared("data/aorta_adult_full_steve_centreline.csv") else { return };
-    let vessel = Centreline::read(&line).unwrap();
+    let vessel = PullbackPath::read(&line).unwrap();
     for name in ["adult_aorta_clean.mat", "adult_aorta_noisy.mat"] {
         let Some(path) = shared(&format!("recordings/{name}")) else { return };
         let given = Recording::read(&path).unwrap();
@@ -154,7 +154,7 @@ struct LocalTruth {
 }
 
 impl LocalTruth {
-    fn at(vessel: &Vessel, line: &simulate::Centreline, s_mm: f64) -> Self {
+    fn at(vessel: &SimulatedVessel, line: &simulate::Centreline, s_mm: f64) -> Self {
         let frame = line.frame(s_mm);
         let inscribed_mm = line.inscribed_radius_at_mm(s_mm);
         // A mouth of a branch is closed by a circle that touches the wall.
@@ -195,8 +195,11 @@ fn error_of(frame: &Frame, model: &CylinderModel, truth: &LocalTruth) -> [f64; 3
 }
 
 fn simulated(shape: &str, insertion: &Insertion, noise: &Noise) -> Simulation {
-    let settings =
-        simulate::Settings { insertion: insertion.clone(), noise: noise.clone(), ..Default::default() };
+    let settings = simulate::SimulationSettings {
+        insertion: insertion.clone(),
+        noise: noise.clone(),
+        ..Default::default()
+    };
     vessel::simulated(shape, &settings)
 }
 

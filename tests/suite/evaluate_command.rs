@@ -30,7 +30,7 @@ fn the_command_prints_every_number_and_which_part_of_the_truth_counted() {
         "largest, mm",
         "signed mean, mm",
         "not on an open rim",
-        "--recording knows better",
+        "--recording gives a better rule",
     ] {
         assert!(text.contains(word), "{word} is missing:\n{text}");
     }

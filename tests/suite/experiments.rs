@@ -6,17 +6,17 @@ use lumenmesh::evaluate::{Coverage, Truth, evaluate, evaluate_covered};
 use lumenmesh::geometry::Pose;
 use lumenmesh::reconstruction::Reconstructor;
 use lumenmesh::recording::Recording;
-use lumenmesh::report::{Subject, experiments_page, html, tables};
+use lumenmesh::report::{PageContent, experiments_page, html, tables};
 use lumenmesh::settings::{Method, Settings};
-use lumenmesh::simulate::{self, Centreline, Insertion, Phantom, Shape, Simulation, Vessel};
+use lumenmesh::simulate::{self, Centreline, Insertion, Phantom, Shape, SimulatedVessel, Simulation};
 use lumenmesh::study::experiments::{Experiments, Outcome, Plan, run};
-use lumenmesh::study::resolution::{self, Grid, Study};
+use lumenmesh::study::resolution::{self, Study, StudyGrid};
 use lumenmesh::surface::Surface;
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::OnceLock;
 
-fn phantom(name: &str) -> Vessel {
+fn phantom(name: &str) -> SimulatedVessel {
     Phantom::from(name.parse::<Shape>().unwrap()).vessel().unwrap()
 }
 
@@ -74,7 +74,7 @@ fn an_adult_aorta_at_full_length_is_fitted_as_well_as_the_thesis_fits_its_own() 
     let Some(surface) = shared("data/aorta_adult_full_steve.stl") else { return };
     let Some(centreline) = shared("data/aorta_adult_full_steve_centreline.csv") else { return };
     let branches = Centreline::read_branches(&centreline).unwrap();
-    let vessel = Vessel::new(Surface::read(&surface).unwrap(), branches).unwrap();
+    let vessel = SimulatedVessel::new(Surface::read(&surface).unwrap(), branches).unwrap();
     let outcome = run(vessel, &Plan::new("adult aorta", 1), &|_, _, _| ()).unwrap();
     let experiments = &outcome.experiments;
     assert!(has_the_pattern_of_table_4(experiments));
@@ -156,7 +156,7 @@ fn the_page_of_the_experiments_has_all_tables_and_figures() {
 
 fn steady(vessel: &str) -> Simulation {
     let insertion = Insertion { end_mm: Some(60.0), ..Insertion::steady() };
-    let settings = simulate::Settings { insertion, ..simulate::Settings::default() };
+    let settings = simulate::SimulationSettings { insertion, ..simulate::SimulationSettings::default() };
     Simulation::run(phantom(vessel), &settings).unwrap()
 }
 
@@ -169,7 +169,7 @@ fn a_reconstruction_fills_a_page_with_and_without_its_truth() {
         let lumen = Reconstructor::new(settings.clone()).history(true).run(&simulation.recording).unwrap();
         let evaluation = evaluate(&lumen.surface(), &truth).unwrap();
         let page = |measured| {
-            html(&Subject {
+            html(&PageContent {
                 title: "A <stenosis>",
                 recording: &simulation.recording,
                 lumen: &lumen,
@@ -182,7 +182,7 @@ fn a_reconstruction_fills_a_page_with_and_without_its_truth() {
         assert!(with.contains(&format!("<td>{:.4}</td>", evaluation.mesh_to_truth.mean_mm)));
         for page in [&with, &without] {
             assert!(is_self_contained(page) && page.contains("<h1>A &lt;stenosis&gt;</h1>"));
-            for part in ["Summary", "Vessel", "Coverage", "Noise", "Settings", "How to reproduce"] {
+            for part in ["Summary", "SimulatedVessel", "Coverage", "Noise", "Settings", "How to reproduce"] {
                 assert!(page.contains(&format!("<h2>{part}</h2>")), "{part}");
             }
             assert_eq!(page.contains("<h2>Convergence</h2>"), settings.method == Method::Cylinders);
@@ -190,7 +190,7 @@ fn a_reconstruction_fills_a_page_with_and_without_its_truth() {
         assert!(with.contains("<h2>Error</h2>") && without.contains("<h2>Residual</h2>"));
     }
     let settings = cylinders.with_iterations(0);
-    let unfitted = html(&Subject {
+    let unfitted = html(&PageContent {
         title: "Cylinders as they are",
         recording: &simulation.recording,
         lumen: &Reconstructor::new(settings.clone()).run(&simulation.recording).unwrap(),
@@ -204,7 +204,7 @@ fn a_reconstruction_fills_a_page_with_and_without_its_truth() {
 fn a_side_branch_that_the_probe_never_saw_is_not_covered() {
     // Up to the middle of the trunk, which ends just where the branch leaves it.
     let insertion = Insertion { end_mm: Some(40.0), ..Insertion::steady() };
-    let settings = simulate::Settings { insertion, ..simulate::Settings::default() };
+    let settings = simulate::SimulationSettings { insertion, ..simulate::SimulationSettings::default() };
     let simulation = Simulation::run(phantom("side_branch"), &settings).unwrap();
     let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
     let coverage =
@@ -227,12 +227,12 @@ fn a_side_branch_that_the_probe_never_saw_is_not_covered() {
 }
 
 /// A recording, its truth and a small grid.
-struct Studied(Recording, Truth, Settings, Grid);
+struct Studied(Recording, Truth, Settings, StudyGrid);
 
 fn studied() -> Studied {
     let simulation = steady("frustum");
     let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
-    let grid = Grid { nodes: vec![8, 12], levels: vec![5], iterations: vec![0, 2] };
+    let grid = StudyGrid { nodes: vec![8, 12], levels: vec![5], iterations: vec![0, 2] };
     Studied(simulation.recording, truth, Settings::default(), grid)
 }
 
@@ -324,9 +324,9 @@ fn the_commands_write_what_they_say() {
     let study = [&["study", "recording", "--truth", "wall.vtp", "--budget-ms", "1e6"], &grid[..]].concat();
     let (status, out, err) = run(&study);
     assert_eq!((status, err.as_str()), (0, ""));
-    assert!(out.contains("Best within 1000000 ms a cylinder"), "{out}");
+    assert!(out.contains("Best within 1000000 ms per cylinder"), "{out}");
     let (_, out, _) = run(&study);
-    assert!(out.contains("4 of 4 combinations were there already"), "{out}");
+    assert!(out.contains("4 of 4 combinations were in the file already"), "{out}");
     let (_, out, _) = run(&[&study[..], &["--json", "--plot", "study.svg"]].concat());
     let summary: serde_json::Value = serde_json::from_str(&out).unwrap();
     assert_eq!(summary["rows"].as_array().unwrap().len(), 4);

@@ -23,7 +23,7 @@ fn sweep() -> Settings {
 
 fn simulated(shape: &str, insertion: Insertion, seed: u64) -> Simulation {
     let noise = simulate::Noise { seed, ..Default::default() };
-    vessel::simulated(shape, &simulate::Settings { insertion, noise, ..Default::default() })
+    vessel::simulated(shape, &simulate::SimulationSettings { insertion, noise, ..Default::default() })
 }
 
 fn pushed(frames: &[Frame], settings: &Settings) -> Live {

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec2, DVec3};
 use lumenmesh::cylinders::estimate::LocalEstimate;
-use lumenmesh::cylinders::merge::Vessel;
+use lumenmesh::cylinders::merge::MergedVessel;
 use lumenmesh::cylinders::{CpuEngine, Engine, FitRequest, FittedCylinder, Track, merged_frames};
 use lumenmesh::cylinders::{CylinderReconstruction, write_cylinders};
 use lumenmesh::evaluate::Truth;
@@ -276,7 +276,7 @@ fn a_cylinder_can_be_asked_for_while_frames_come_in() {
     let frames = merged_frames(whole.len(), &settings);
     let batch = fit::<f32>(&whole, &frames, &settings);
     let mut track = Track::new(Pose::IDENTITY, Box::new(LocalEstimate::new(Pose::IDENTITY)));
-    let mut vessel = Vessel::default();
+    let mut vessel = MergedVessel::default();
     for (k, frame) in recording.frames.iter().enumerate() {
         track.push(frame).unwrap();
         if let Ok(at) = frames.binary_search(&k) {
@@ -288,8 +288,8 @@ fn a_cylinder_can_be_asked_for_while_frames_come_in() {
     for (at, &k) in frames.iter().enumerate() {
         same_cylinder(&fit::<f32>(&track, &[k], &settings)[0], &batch[at]);
     }
-    let of_all = Vessel::of(&batch, Merge::Stitch);
-    let positions = |vessel: &Vessel| -> Vec<DVec3> {
+    let of_all = MergedVessel::of(&batch, Merge::Stitch);
+    let positions = |vessel: &MergedVessel| -> Vec<DVec3> {
         vessel.rings.iter().flat_map(|r| r.nodes_mm.iter().copied()).collect()
     };
     assert_eq!(positions(&vessel), positions(&of_all));
@@ -407,13 +407,13 @@ fn the_published_fitting_errors_come_out() {
         };
         let found = [0, 1, 2, 3].map(error_after);
         let vessel_after = |iteration: usize| {
-            let mut vessel = Vessel::default();
+            let mut vessel = MergedVessel::default();
             cylinders.iter().for_each(|c| {
                 vessel.stitch(c, &c.tube.history_mm[iteration]);
             });
             vessel
         };
-        let error = |vessel: &Vessel| {
+        let error = |vessel: &MergedVessel| {
             mean_distance_mm(vessel.rings.iter().flat_map(|r| r.nodes_mm.iter().copied()), &truth)
         };
         let (vessel, primitives) = (vessel_after(3), vessel_after(0));

@@ -4,7 +4,7 @@ use crate::support::{lumenmesh, names, shared};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use lumenmesh::cylinders::estimate::{CylinderEstimator, LocalEstimate};
 use lumenmesh::geometry::Pose;
-use lumenmesh::recording::{Centreline, Frame, Pullback, Recording, Summary};
+use lumenmesh::recording::{Frame, Pullback, PullbackPath, Recording, Summary};
 use serde_json::Value;
 use std::f64::consts::TAU;
 
@@ -228,7 +228,7 @@ fn a_pullback_along_a_centreline_follows_it_without_roll() {
     }
     text += "1,0,50,50,50,1\n";
     std::fs::write(&line, text).unwrap();
-    let centreline = Centreline::read(&line).unwrap();
+    let centreline = PullbackPath::read(&line).unwrap();
     assert!((centreline.length_mm() - 10.0 * TAU / 4.0).abs() < 1e-3);
     let pullback = Pullback::read(&path, None, Some(&centreline)).unwrap();
     let first = &pullback.recording.frames[0].world_from_sensor;
@@ -253,7 +253,7 @@ fn a_pullback_that_cannot_be_placed_is_refused() {
     let refused = |contours: &str, points: &str| {
         std::fs::write(&path, contours).unwrap();
         std::fs::write(&line, points).unwrap();
-        let centreline = Centreline::read(&line);
+        let centreline = PullbackPath::read(&line);
         let pullback = centreline.and_then(|line| Pullback::read(&path, None, Some(&line)));
         pullback.unwrap_err().to_string()
     };

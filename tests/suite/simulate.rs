@@ -4,21 +4,21 @@ use crate::support::shared;
 use glam::{DQuat, DVec3};
 use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::simulate::{
-    Centreline, ContourNoise, Insertion, Move, Noise, Phantom, Probe, Settings, Shape, Simulation,
-    TrackerNoise, Vessel,
+    Centreline, ContourNoise, Insertion, Move, Noise, Phantom, Probe, Shape, SimulatedVessel, Simulation,
+    SimulationSettings, TrackerNoise,
 };
 use lumenmesh::surface::Surface;
 use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::TriMesh;
 
-fn phantom(name: &str) -> Vessel {
+fn phantom(name: &str) -> SimulatedVessel {
     let shape: Shape = name.parse().expect("a phantom's name");
     Phantom::from(shape).vessel().expect("a phantom")
 }
 
 /// A run in which the tip rests, so that every frame has the same truth.
-fn resting(noise: Noise) -> Settings {
-    Settings {
+fn resting(noise: Noise) -> SimulationSettings {
+    SimulationSettings {
         insertion: Insertion {
             start_mm: 40.0,
             moves: vec![Move::Rest { duration_s: 100.0 }],
@@ -26,12 +26,12 @@ fn resting(noise: Noise) -> Settings {
             ..Insertion::default()
         },
         noise,
-        ..Settings::default()
+        ..SimulationSettings::default()
     }
 }
 
-fn noise_free(insertion: Insertion) -> Settings {
-    Settings { insertion, noise: Noise::none(), ..Settings::default() }
+fn noise_free(insertion: Insertion) -> SimulationSettings {
+    SimulationSettings { insertion, noise: Noise::none(), ..SimulationSettings::default() }
 }
 
 fn pairs(simulation: &Simulation) -> impl Iterator<Item = (&Frame, &Frame)> {
@@ -136,7 +136,7 @@ fn drift_grows_with_the_root_of_time() {
     let (vessel, mut ends) = (phantom("cylinder"), Vec::new());
     for seed in 0..60 {
         let noise = Noise { seed, position_drift_mm_per_sqrt_s: 0.1, ..Noise::none() };
-        let settings = Settings { probe: Probe { rays: 1, ..Probe::default() }, ..resting(noise) };
+        let settings = SimulationSettings { probe: Probe { rays: 1, ..Probe::default() }, ..resting(noise) };
         let errors = position_errors(&Simulation::run(vessel.clone(), &settings).unwrap());
         assert_eq!(errors[..3], [0.0; 3], "the walk starts at the truth");
         ends.extend_from_slice(&errors[errors.len() - 3..]);
@@ -148,7 +148,8 @@ fn drift_grows_with_the_root_of_time() {
 #[test]
 fn latency_shifts_the_poses_back_along_the_way() {
     let noise = Noise { latency_s: 0.25, ..Noise::none() };
-    let settings = Settings { insertion: Insertion::steady(), noise, ..Settings::default() };
+    let settings =
+        SimulationSettings { insertion: Insertion::steady(), noise, ..SimulationSettings::default() };
     let simulation = Simulation::run(phantom("cylinder"), &settings).unwrap();
     // 0.25 s are 0.6 mm at 2.4 mm/s, and 3 frames at 12 Hz.
     for (k, (seen, truth)) in pairs(&simulation).enumerate().skip(3) {
@@ -176,7 +177,7 @@ fn a_pulsating_cylinder_widens_by_the_fraction_asked_for() {
 fn a_bent_tip_stays_inside_when_the_vessel_narrows() {
     let shape = Shape::Cylinder { radius_mm: 6.0, length_mm: 60.0 };
     let noise = Noise { pulsation_fraction: 0.4, ..Noise::none() };
-    let settings = Settings { noise, ..Settings::default() };
+    let settings = SimulationSettings { noise, ..SimulationSettings::default() };
     let simulation = Simulation::run(Phantom::from(shape).vessel().unwrap(), &settings).unwrap();
     assert!(!simulation.reduced_bends.is_empty());
     for (k, frame) in simulation.recording.frames.iter().enumerate() {
@@ -191,7 +192,7 @@ fn the_number_of_threads_changes_nothing_and_the_seed_does() {
     let run = |threads: usize, seed: u64| {
         let noise =
             Noise { seed, dropout_probability: 0.02, position_drift_mm_per_sqrt_s: 0.1, ..Noise::default() };
-        let settings = Settings { noise, cylinders: true, ..Settings::default() };
+        let settings = SimulationSettings { noise, cylinders: true, ..SimulationSettings::default() };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| Simulation::run(phantom("arch"), &settings).unwrap().recording)
     };
@@ -302,7 +303,7 @@ fn withdrawing_goes_back_to_the_start_and_rest_stays() {
 
 #[test]
 fn simulated_cylinders_are_the_phantom() {
-    let settings = Settings { cylinders: true, ..noise_free(Insertion::default()) };
+    let settings = SimulationSettings { cylinders: true, ..noise_free(Insertion::default()) };
     let frames = Simulation::run(phantom("cylinder"), &settings).unwrap().recording.frames;
     for frame in &frames {
         let model = frame.cylinder.expect("a cylinder");
@@ -342,11 +343,11 @@ fn phantoms_are_open_manifolds_with_outward_normals() {
 }
 
 /// The cylinder phantom after something was done to its wall.
-fn damaged(damage: impl FnOnce(&mut Surface)) -> lumenmesh::Result<Vessel> {
+fn damaged(damage: impl FnOnce(&mut Surface)) -> lumenmesh::Result<SimulatedVessel> {
     let vessel = phantom("cylinder");
     let mut surface = vessel.surface().clone();
     damage(&mut surface);
-    Vessel::new(surface, vessel.branches().to_vec())
+    SimulatedVessel::new(surface, vessel.branches().to_vec())
 }
 
 #[test]
@@ -370,7 +371,7 @@ fn repairs_restore_the_surface_and_are_said() {
 
 #[test]
 fn vessels_that_cannot_be_used_are_refused_with_a_reason() {
-    let message = |r: lumenmesh::Result<Vessel>| r.unwrap_err().to_string();
+    let message = |r: lumenmesh::Result<SimulatedVessel>| r.unwrap_err().to_string();
     let metres = message(damaged(|s| s.nodes_mm.iter_mut().for_each(|p| *p *= 1e-3)));
     assert!(metres.contains("looks like metres"), "{metres}");
     let moved = message(damaged(|s| s.nodes_mm.iter_mut().for_each(|p| p.x += 40.0)));
@@ -381,13 +382,15 @@ fn vessels_that_cannot_be_used_are_refused_with_a_reason() {
     assert!(message(damaged(|s| s.triangles[3] = [0, 1, 4_000_000])).contains("triangle 3"));
     assert!(message(damaged(|s| s.nodes_mm[5].y = f64::NAN)).contains("node 5"));
     let vessel = phantom("cylinder");
-    assert!(message(Vessel::new(vessel.surface().clone(), vec![])).contains("centreline: found none"));
+    assert!(
+        message(SimulatedVessel::new(vessel.surface().clone(), vec![])).contains("centreline: found none")
+    );
 }
 
 #[test]
 fn settings_out_of_range_are_refused_by_name() {
-    let message = |s: Settings| Simulation::run(phantom("cylinder"), &s).unwrap_err().to_string();
-    let noise = |noise: Noise| message(Settings { noise, ..Settings::default() });
+    let message = |s: SimulationSettings| Simulation::run(phantom("cylinder"), &s).unwrap_err().to_string();
+    let noise = |noise: Noise| message(SimulationSettings { noise, ..SimulationSettings::default() });
     let insertion = |insertion: Insertion| message(noise_free(insertion));
     let usual = Insertion::default;
     assert!(noise(Noise { contour_sd_mm: f64::NAN, ..Noise::none() }).contains("noise.contour_sd_mm"));
@@ -402,14 +405,14 @@ fn settings_out_of_range_are_refused_by_name() {
 
 #[test]
 fn settings_are_read_with_defaults_and_without_strangers() {
-    let error = toml::from_str::<Settings>("[noise]\nposition_sd = 0.1\n").unwrap_err().to_string();
+    let error = toml::from_str::<SimulationSettings>("[noise]\nposition_sd = 0.1\n").unwrap_err().to_string();
     assert!(error.contains("position_sd"), "{error}");
     let text =
         "[insertion]\nmoves = [{ advance = { distance_mm = 5.0 } }, { rest = { duration_s = 1.0 } }]\n";
-    let settings: Settings = toml::from_str(text).unwrap();
+    let settings: SimulationSettings = toml::from_str(text).unwrap();
     assert_eq!(settings.insertion.moves[1], Move::Rest { duration_s: 1.0 });
     assert_eq!(settings.noise, Noise::default());
-    let back: Settings = toml::from_str(&toml::to_string(&settings).unwrap()).unwrap();
+    let back: SimulationSettings = toml::from_str(&toml::to_string(&settings).unwrap()).unwrap();
     assert_eq!(back, settings);
 }
 
@@ -428,7 +431,7 @@ fn every_shared_vessel_can_be_simulated_in() {
             continue;
         };
         let branches = Centreline::read_branches(&centreline).unwrap();
-        let vessel = Vessel::new(Surface::read(&surface).unwrap(), branches).unwrap();
+        let vessel = SimulatedVessel::new(Surface::read(&surface).unwrap(), branches).unwrap();
         assert_eq!(vessel.notes(), [] as [&str; 0], "{name}: these surfaces are sound");
         for branch in 0..vessel.branches().len() {
             let settings = noise_free(Insertion { branch, frame_rate_hz: 2.0, ..Insertion::default() });

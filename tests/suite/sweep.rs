@@ -105,7 +105,7 @@ fn the_published_recordings_meet_their_gates() {
 fn a_catheter_that_rests_tilted_does_not_lift_the_wall() {
     // 20 mm forward, tip bent, turned in a circle, straightened: the thesis's sequence. Measured straight down to the
     // axis the wall would lie 0.05 mm too far out on average.
-    let simulation = simulated("stenosis", &simulate::Settings::default());
+    let simulation = simulated("stenosis", &simulate::SimulationSettings::default());
     let (mean, signed, largest) = errors_mm(&surface(&simulation.recording), simulation.vessel.surface());
     assert!(mean < 0.06 && signed.abs() < 0.01 && largest < 0.5, "{mean} {signed} {largest}");
 }
@@ -134,7 +134,8 @@ fn a_catheter_that_stops_circles_and_goes_back_draws_the_same_vessel() {
         spike_probability: 0.03,
         ..Noise::default()
     };
-    let settings = simulate::Settings { insertion, noise, ..simulate::Settings::default() };
+    let settings =
+        simulate::SimulationSettings { insertion, noise, ..simulate::SimulationSettings::default() };
     let simulation = simulated("arch", &settings);
     let sweep = swept(&simulation.recording);
     let (mean, _, largest) = errors_mm(&sweep.surface(false), simulation.vessel.surface());
@@ -150,8 +151,21 @@ fn a_narrow_bent_vessel_is_found_in_spikes_and_in_noise() {
     let dense = simulate::Probe { rays: 360, ..simulate::Probe::default() };
     let steady = Insertion::steady();
     for (settings, most) in [
-        (simulate::Settings { noise: Noise { seed: 11, ..spiky }, ..simulate::Settings::default() }, 0.15),
-        (simulate::Settings { probe: dense, insertion: steady, ..simulate::Settings::default() }, 0.1),
+        (
+            simulate::SimulationSettings {
+                noise: Noise { seed: 11, ..spiky },
+                ..simulate::SimulationSettings::default()
+            },
+            0.15,
+        ),
+        (
+            simulate::SimulationSettings {
+                probe: dense,
+                insertion: steady,
+                ..simulate::SimulationSettings::default()
+            },
+            0.1,
+        ),
     ] {
         let simulation = simulated("small_arch", &settings);
         let (mean, _, largest) = errors_mm(&surface(&simulation.recording), simulation.vessel.surface());
@@ -161,7 +175,10 @@ fn a_narrow_bent_vessel_is_found_in_spikes_and_in_noise() {
 
 #[test]
 fn the_order_of_frames_hardly_matters_and_the_number_of_threads_not_at_all() {
-    let settings = simulate::Settings { insertion: Insertion::steady(), ..simulate::Settings::default() };
+    let settings = simulate::SimulationSettings {
+        insertion: Insertion::steady(),
+        ..simulate::SimulationSettings::default()
+    };
     let recording = simulated("arch", &settings).recording;
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let five = rayon::ThreadPoolBuilder::new().num_threads(5).build().unwrap();
@@ -178,7 +195,10 @@ fn the_order_of_frames_hardly_matters_and_the_number_of_threads_not_at_all() {
 
 #[test]
 fn no_wall_is_invented_ahead_of_the_probe() {
-    let settings = simulate::Settings { insertion: Insertion::steady(), ..simulate::Settings::default() };
+    let settings = simulate::SimulationSettings {
+        insertion: Insertion::steady(),
+        ..simulate::SimulationSettings::default()
+    };
     let simulation = simulated("aorta", &settings);
     let sweep = swept(&simulation.recording);
     let surface = sweep.surface(false);
@@ -203,7 +223,7 @@ fn no_wall_is_invented_ahead_of_the_probe() {
 #[test]
 fn the_standard_error_is_the_error() {
     // In a vessel as smooth as the method expects, the errors are what their standard errors say, up to a third.
-    let simulation = simulated("aorta", &simulate::Settings::default());
+    let simulation = simulated("aorta", &simulate::SimulationSettings::default());
     let surface = surface(&simulation.recording);
     let closest = Locator::new(simulation.vessel.surface()).unwrap().closest_all(&surface.nodes_mm);
     let said = surface.array("standard_error_mm").unwrap();

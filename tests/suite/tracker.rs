@@ -8,7 +8,10 @@ use lumenmesh::sweep::{Sweep, Tracker};
 
 /// The thesis's sequence of moves through a phantom.
 fn simulated(shape: &str, noise: Noise) -> Simulation {
-    vessel::simulated(shape, &simulate::Settings { noise, ..simulate::Settings::default() })
+    vessel::simulated(
+        shape,
+        &simulate::SimulationSettings { noise, ..simulate::SimulationSettings::default() },
+    )
 }
 
 /// A tracker three times as noisy as the thesis's.
@@ -103,10 +106,10 @@ fn no_offset_is_made_up() {
 #[test]
 fn a_steady_pullback_shows_no_offset() {
     // Every pose is as much behind as the others: the vessel is shifted along itself, and still smooth.
-    let settings = simulate::Settings {
+    let settings = simulate::SimulationSettings {
         insertion: Insertion::steady(),
         noise: late(0.3),
-        ..simulate::Settings::default()
+        ..simulate::SimulationSettings::default()
     };
     let simulation = vessel::simulated("aorta", &settings);
     let tracker = reconstructed(&simulation, offset()).1.unwrap();

@@ -1,4 +1,4 @@
-use super::{Ring, Vessel};
+use super::{MergedVessel, VesselRing};
 use crate::cylinders::fit::FittedCylinder;
 use crate::geometry::{Pose, transported};
 use glam::{DMat3, DVec2, DVec3, Vec3Swizzles};
@@ -6,31 +6,31 @@ use std::f64::consts::TAU;
 
 /// One vessel from successive cylinders, the mean of those that overlap (`docs/method.md`, "Merging").
 ///
-/// Rings are laid along the origins of the cylinders, a level's height apart. From a ring's middle a ray goes out to
-/// each of its nodes; where it meets the wall of a cylinder is that cylinder's say in where the node lies, weighed by
-/// the points behind it and by how near it is to the cylinder's ends, where the weight goes to zero. A cylinder can
-/// come at any time and in any place along the vessel, and changes only the rings that it overlaps.
+/// Rings lie along the origins of the cylinders, one level's height apart. A ray runs from a ring's middle through each
+/// of its nodes; its intersection with a cylinder's wall is that cylinder's contribution to the node. The contribution is
+/// weighted by the points that support the wall there and by a factor that falls to zero at the cylinder's ends. Cylinders
+/// can be added in any order and anywhere along the vessel; each changes only the rings that it overlaps.
 ///
-/// All cylinders have the same number of nodes a ring.
+/// All cylinders have the same number of nodes per ring.
 #[derive(Debug, Clone, Default)]
 pub struct Blend {
     stations: Vec<Station>,
 }
 
-/// A ring in the making.
+/// A ring with the sums of the contributions to its nodes.
 #[derive(Debug, Clone)]
 struct Station {
-    /// The last frame whose cylinder met it.
+    /// The last frame whose cylinder contributed to it.
     frame: usize,
     /// Its axes: nodes lie in the plane of x and y, the first on x; z points along the vessel.
     world_from_ring: Pose,
-    /// How far out nodes may lie, mm: beyond, the plane of a neighbouring ring is crossed.
+    /// Largest radius of a node, mm: farther out, the planes of neighbouring rings cross.
     reach_mm: f64,
-    /// What the cylinders say, node by node.
+    /// Sums of the contributions, one per node.
     sums: Vec<Sums>,
 }
 
-/// Sums over places on the walls of cylinders, each times its weight.
+/// Weighted sums over intersections with the walls of cylinders.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sums {
     weight: f64,
@@ -39,25 +39,25 @@ struct Sums {
     residual_mm: f64,
 }
 
-/// Least radius of a bend, in lumen radii. Rings do not cross nearer than that, and no farther out do points count
-/// by the published gate.
+/// Smallest radius of a bend, in lumen radii: rings do not cross nearer than that, and the published gate excludes points
+/// farther out.
 const TIGHTEST_BEND_RADII: f64 = 1.5;
-/// Farther than this from the middle of a later cylinder, in radii, the end of the vessel so far was wrong.
+/// An end of the vessel farther than this from the axis of a later cylinder, in radii, is removed.
 const BESIDE_RADII: f64 = 0.5;
-/// Weight of a node with points whose neighbours have none: half of its triangles guessed.
+/// Weight of a node with points whose neighbours have none: half of its triangles are interpolated.
 const HALF_SEEN: f64 = 0.01;
-/// Least sin² of the angle between a ray and a cylinder's axis: what goes along the wall does not show where it is.
-const LEAST_ACROSS: f64 = 0.25;
-/// How often the wall is looked up again where the ray met it last: walls that lean by less than 1:2 against the
-/// axis are found to 2 % of how far the first guess was off.
-const LOOK_UPS: usize = 6;
+/// Smallest sin² of the angle between a ray and a cylinder's axis: a ray along the wall does not locate it.
+const MIN_SINE_SQUARED: f64 = 0.25;
+/// Fixed-point iterations of the intersection: for walls with a slope below 1:2 against the axis they reduce the error of
+/// the first guess to 2 %.
+const RAY_STEPS: usize = 6;
 
 impl Blend {
     /// Adds a cylinder with the given radii: its last ones, or those of another iteration.
     ///
-    /// A cylinder beside the vessel, as in a branch that is entered later, has no say.
+    /// A cylinder beside the vessel, as in a branch that is entered later, does not contribute.
     pub fn append(&mut self, cylinder: &FittedCylinder, radii_mm: &[f64]) {
-        let Some(wall) = Wall::new(cylinder, radii_mm) else { return };
+        let Some(wall) = CylinderWall::new(cylinder, radii_mm) else { return };
         if self.stations.is_empty() {
             self.stations.push(wall.first_station());
         }
@@ -65,15 +65,15 @@ impl Blend {
         let squared = |s: &Station| s.world_from_ring.translation_mm.distance_squared(origin);
         let order = |a: &(usize, f64), b: &(usize, f64)| a.1.total_cmp(&b.1);
         let nearest = self.stations.iter().map(squared).enumerate().min_by(order).map_or(0, |(at, _)| at);
-        let nearest = self.retreat(nearest, &wall);
+        let nearest = self.trim_ends(nearest, &wall);
         let (last, _) = self.extend(nearest, &wall, true);
         let (first, laid) = self.extend(nearest, &wall, false);
-        self.stations[first..=last + laid].iter_mut().for_each(|station| wall.meet(station));
+        self.stations[first..=last + laid].iter_mut().for_each(|station| wall.contribute_to(station));
     }
 
-    /// Takes rings off the ends near ring `nearest` that lie beside the cylinder: laid where a bent tip pointed or
-    /// another branch opened, not where the vessel goes. Returns what `nearest` has become.
-    fn retreat(&mut self, mut nearest: usize, wall: &Wall) -> usize {
+    /// Removes rings at the ends near ring `nearest` that lie beside the cylinder: a bent tip or the mouth of a branch led
+    /// them away from the vessel. Returns the new index of `nearest`.
+    fn trim_ends(&mut self, mut nearest: usize, wall: &CylinderWall) -> usize {
         let near = wall.near_rings();
         while self.stations.len() > 1
             && self.stations.len() - nearest <= near
@@ -92,9 +92,9 @@ impl Blend {
         nearest
     }
 
-    /// Lays rings from the end of the vessel near ring `nearest`, or from the edge of a gap, to the cylinder's
-    /// origin. Returns the farthest ring that the cylinder can overlap and how many were laid.
-    fn extend(&mut self, nearest: usize, wall: &Wall, forward: bool) -> (usize, usize) {
+    /// Adds rings from the end of the vessel near ring `nearest`, or from the edge of a gap, to the cylinder's origin.
+    /// Returns the farthest ring that the cylinder can overlap and the number of rings added.
+    fn extend(&mut self, nearest: usize, wall: &CylinderWall, forward: bool) -> (usize, usize) {
         let sense = if forward { 1.0 } else { -1.0 };
         let (mut at, mut laid) = (nearest, 0);
         for _ in 0..wall.near_rings() {
@@ -115,13 +115,14 @@ impl Blend {
             if step_mm > room_mm || z + step_mm > high.min(wall.step_mm() / 2.0) {
                 break;
             }
-            // The way of the vessel over its last half radius, on to the origin: a cylinder's own axis says less.
+            // Direction of the vessel over its last half radius and on to the origin: more reliable than the axis of one
+            // cylinder.
             let back = (wall.radius_mm() / 2.0 / wall.step_mm()).round() as usize;
             let from =
                 if forward { at.saturating_sub(back) } else { (at + back).min(self.stations.len() - 1) };
             let way = (wall.on_axis(0.0) - self.stations[from].world_from_ring.translation_mm) * sense;
-            let most_rad = (step_mm / (TIGHTEST_BEND_RADII * wall.radius_mm())).atan();
-            let heading = turned(rotation.z_axis, way, most_rad);
+            let max_rad = (step_mm / (TIGHTEST_BEND_RADII * wall.radius_mm())).atan();
+            let heading = turned(rotation.z_axis, way, max_rad);
             let chord = heading * sense * step_mm;
             let mut station = wall.station(Pose {
                 rotation: transported(&rotation, chord, heading),
@@ -138,18 +139,18 @@ impl Blend {
         (at, laid)
     }
 
-    /// The vessel so far: the rings of which at least half of the nodes were seen.
+    /// The current vessel: the rings of which at least half of the nodes have contributions.
     ///
-    /// `support` of a node is the mean number of points behind it in the cylinders, at least 1; nodes that none saw
-    /// have 0 and lie on the circle that fits the others best.
-    pub fn vessel(&self) -> Vessel {
-        Vessel { rings: self.stations.iter().filter_map(Station::ring).collect() }
+    /// `support` of a node is the mean number of points that support it in the cylinders, at least 1. Nodes without a
+    /// contribution have 0 and lie on the circle that fits the others best.
+    pub fn vessel(&self) -> MergedVessel {
+        MergedVessel { rings: self.stations.iter().filter_map(Station::ring).collect() }
     }
 }
 
 impl Station {
-    /// The ring; `None` where less than half of it was seen.
-    fn ring(&self) -> Option<Ring> {
+    /// The ring; `None` where fewer than half of its nodes have contributions.
+    fn ring(&self) -> Option<VesselRing> {
         let count = self.sums.len();
         let seen = |j: usize| Some(self.sums[j]).filter(|sums| sums.weight > 0.0);
         if 2 * (0..count).filter(|&j| seen(j).is_some()).count() < count {
@@ -163,7 +164,7 @@ impl Station {
             let radius_mm = seen(j).map_or_else(|| circle.radius_along(ray.xy()), |sums| radius_mm(&sums));
             self.world_from_ring.transform_point(ray * radius_mm)
         });
-        Some(Ring {
+        Some(VesselRing {
             frame: self.frame,
             nodes_mm: nodes_mm.collect(),
             support: (0..count)
@@ -174,7 +175,7 @@ impl Station {
     }
 }
 
-/// A circle about a place near the origin.
+/// A circle that encloses the origin.
 struct Circle {
     middle: DVec2,
     radius: f64,
@@ -196,7 +197,7 @@ impl Circle {
         (solution.is_finite() && solution.z > 0.0).then_some(Self { middle: solution.xy(), radius })
     }
 
-    /// How far from the origin it is in a direction.
+    /// Distance from the origin to the circle along a unit direction.
     fn radius_along(&self, direction: DVec2) -> f64 {
         let across = direction.perp_dot(self.middle);
         direction.dot(self.middle) + (self.radius * self.radius - across * across).max(0.0).sqrt()
@@ -209,28 +210,28 @@ fn ray(count: usize, j: usize) -> DVec3 {
 }
 
 /// The unit vector `from`, turned towards `to` by at most an angle below a quarter turn.
-fn turned(from: DVec3, to: DVec3, most_rad: f64) -> DVec3 {
+fn turned(from: DVec3, to: DVec3, max_rad: f64) -> DVec3 {
     let Some(to) = to.try_normalize() else { return from };
-    if from.dot(to) >= most_rad.cos() {
+    if from.dot(to) >= max_rad.cos() {
         return to;
     }
     let across = to.reject_from_normalized(from).normalize_or_zero();
-    (from * most_rad.cos() + across * most_rad.sin()).normalize()
+    (from * max_rad.cos() + across * max_rad.sin()).normalize()
 }
 
 /// The wall of one cylinder.
-struct Wall<'a> {
+struct CylinderWall<'a> {
     cylinder: &'a FittedCylinder,
     radii_mm: &'a [f64],
     from_world: Pose,
-    /// From where to where along the axis points support at least half of the wall, mm.
+    /// Range along the axis in which points support at least half of a ring, mm.
     seen_mm: [f64; 2],
-    /// Per node: least support of the node and those next to it.
-    sure: Vec<f64>,
+    /// Per node: smallest support of the node and its neighbours.
+    certainty: Vec<f64>,
 }
 
-impl<'a> Wall<'a> {
-    /// `None` where points support no ring of it.
+impl<'a> CylinderWall<'a> {
+    /// `None` where no ring is supported by points.
     fn new(cylinder: &'a FittedCylinder, radii_mm: &'a [f64]) -> Option<Self> {
         let (tube, support) = (&cylinder.tube.tube, &cylinder.tube.support);
         let rings = 0..=tube.levels;
@@ -250,7 +251,7 @@ impl<'a> Wall<'a> {
             radii_mm,
             from_world: cylinder.world_from_cylinder.inverse(),
             seen_mm,
-            sure: rings.flat_map(|ring| (0..tube.nodes).map(move |j| least(ring, j))).collect(),
+            certainty: rings.flat_map(|ring| (0..tube.nodes).map(move |j| least(ring, j))).collect(),
         })
     }
 
@@ -272,7 +273,7 @@ impl<'a> Wall<'a> {
         2 * self.cylinder.tube.tube.levels
     }
 
-    /// `seen_mm` for one who looks along the axis, or against it.
+    /// `seen_mm`, with z along the axis or against it.
     fn seen_along(&self, sense: f64) -> [f64; 2] {
         let [low, high] = self.seen_mm;
         if sense > 0.0 { [low, high] } else { [-high, -low] }
@@ -283,7 +284,7 @@ impl<'a> Wall<'a> {
         self.cylinder.world_from_cylinder.transform_point(DVec3::new(z_mm, 0.0, 0.0))
     }
 
-    /// The level of a height and how far up in it that is, from 0 to 1.
+    /// The level at a height, and the position in it, from 0 to 1.
     fn level(&self, z_mm: f64) -> (usize, f64) {
         let tube = &self.cylinder.tube.tube;
         let levels = tube.levels as f64;
@@ -292,20 +293,20 @@ impl<'a> Wall<'a> {
         (level, u - level as f64)
     }
 
-    /// A ring that nothing is known of yet.
+    /// A ring without contributions.
     fn station(&self, world_from_ring: Pose) -> Station {
         let sums = vec![Sums::default(); self.cylinder.tube.tube.nodes];
         Station { frame: self.cylinder.frame, world_from_ring, reach_mm: f64::INFINITY, sums }
     }
 
-    /// A ring like one of the cylinder's, at its middle.
+    /// A ring in the plane of the cylinder's rings, at its origin.
     fn first_station(&self) -> Station {
         let DMat3 { x_axis, y_axis, z_axis } = self.cylinder.world_from_cylinder.rotation;
         let rotation = DMat3::from_cols(-z_axis, y_axis, x_axis);
         self.station(Pose { rotation, translation_mm: self.on_axis(0.0) })
     }
 
-    /// Whether a ring that is along the seen wall is far from its middle.
+    /// Whether a ring within the supported range lies far from the axis.
     fn is_beside(&self, station: &Station) -> bool {
         let middle = station.world_from_ring.translation_mm;
         let z = self.from_world.transform_point(middle).x;
@@ -313,32 +314,32 @@ impl<'a> Wall<'a> {
             && self.on_axis(z).distance(middle) > BESIDE_RADII * self.radius_mm()
     }
 
-    /// Adds what this wall says to the nodes of a ring.
-    fn meet(&self, station: &mut Station) {
+    /// Adds the contributions of this wall to the nodes of a ring.
+    fn contribute_to(&self, station: &mut Station) {
         let cylinder_from_ring = self.from_world * station.world_from_ring;
         let count = station.sums.len();
         for (j, sums) in station.sums.iter_mut().enumerate() {
             let ray = cylinder_from_ring.rotation * ray(count, j);
-            if let Some(found) = self.along(cylinder_from_ring.translation_mm, ray, station.reach_mm) {
+            if let Some(found) = self.intersection(cylinder_from_ring.translation_mm, ray, station.reach_mm) {
                 sums.add(1.0, &found);
                 station.frame = self.cylinder.frame;
             }
         }
     }
 
-    /// Where a ray from within, given in {cyl}, meets the wall: its length to there as `radius_mm`. `None` where no
-    /// point supports the wall, and beyond the cylinder's ends.
-    fn along(&self, from: DVec3, ray: DVec3, reach_mm: f64) -> Option<Sums> {
+    /// Intersection of a ray from inside, given in {cyl}, with the wall; `radius_mm` is its length along the ray. `None`
+    /// where no point supports the wall, and beyond the cylinder's ends.
+    fn intersection(&self, from: DVec3, ray: DVec3, reach_mm: f64) -> Option<Sums> {
         let (across, offset) = (ray.yz(), from.yz());
         let a = across.length_squared();
-        if a < LEAST_ACROSS {
+        if a < MIN_SINE_SQUARED {
             return None;
         }
         let b = across.dot(offset);
         let (mut wall, mut length_mm) =
             (Sums { weight: 1.0, radius_mm: self.radius_mm(), ..Sums::default() }, 0.0);
-        for _ in 0..LOOK_UPS {
-            // The ray leaves the round tube of that radius.
+        for _ in 0..RAY_STEPS {
+            // Intersection with the round tube of that radius.
             let radius_mm = wall.radius_mm / wall.weight;
             let c = offset.length_squared() - radius_mm * radius_mm;
             if c >= 0.0 {
@@ -349,8 +350,8 @@ impl<'a> Wall<'a> {
             wall = self.at(p.y.atan2(-p.z), p.x)?;
         }
         let z_mm = from.x + ray.x * length_mm;
-        // Over the last level the weight goes to zero, lest the vessel have a step where a cylinder ends. A wall met
-        // at a slant is known less well.
+        // The weight falls to zero over the last level, so that the vessel has no step where a cylinder ends. It is
+        // smaller for rays that meet the wall at a slant, which locate it less precisely.
         let fade = ((self.cylinder.tube.tube.height_mm / 2.0 - z_mm.abs()) / self.step_mm()).min(1.0);
         if fade <= 0.0 || length_mm > reach_mm {
             return None;
@@ -360,17 +361,18 @@ impl<'a> Wall<'a> {
         Some(found)
     }
 
-    /// The wall at a place, linear between nodes; heights beyond the ends are taken at them. `None` without points.
+    /// The wall at an angle and a height, linear between nodes; heights beyond an end are clamped to it. `None` without
+    /// points.
     fn at(&self, theta_rad: f64, z_mm: f64) -> Option<Sums> {
         let tube = &self.cylinder.tube.tube;
         let (ring, above) = self.level(z_mm);
         let v = (theta_rad / TAU).rem_euclid(1.0) * tube.nodes as f64;
         let (j, beside) = (v as usize % tube.nodes, v.fract());
-        let (mut sure, mut radius_mm, mut half_seen) = (0.0, 0.0, Sums::default());
+        let (mut certainty, mut radius_mm, mut half_seen) = (0.0, 0.0, Sums::default());
         for (ring, above) in [(ring, 1.0 - above), (ring + 1, above)] {
             for (j, beside) in [(j, 1.0 - beside), (tube.next(j), beside)] {
                 let (node, share) = (ring * tube.nodes + j, above * beside);
-                sure += share * self.sure[node];
+                certainty += share * self.certainty[node];
                 radius_mm += share * self.radii_mm[node];
                 let points = self.cylinder.tube.support[node];
                 if points > 0 {
@@ -381,10 +383,10 @@ impl<'a> Wall<'a> {
                 }
             }
         }
-        // Where all about was seen, the wall itself; else what is known of it from the nodes that were.
+        // The interpolated wall where all neighbours have points, else the mean of the nodes that have some.
         let mut wall = Sums::default();
-        wall.add(HALF_SEEN + sure / half_seen.weight, &half_seen);
-        wall.radius_mm = HALF_SEEN * half_seen.radius_mm + sure * radius_mm;
+        wall.add(HALF_SEEN + certainty / half_seen.weight, &half_seen);
+        wall.radius_mm = HALF_SEEN * half_seen.radius_mm + certainty * radius_mm;
         (half_seen.weight > 0.0).then_some(wall)
     }
 }

@@ -14,7 +14,7 @@ use std::ops::Range;
 
 /// A ring of a vessel.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Ring {
+pub struct VesselRing {
     /// The frame whose cylinder it came from; the last one where several were blended.
     pub frame: usize,
     /// Its nodes in the world, mm.
@@ -27,13 +27,13 @@ pub struct Ring {
 
 /// One vessel, as a stack of rings with the same number of nodes each.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Vessel {
+pub struct MergedVessel {
     /// The rings, in the order of the vessel.
-    pub rings: Vec<Ring>,
+    pub rings: Vec<VesselRing>,
 }
 
-impl Vessel {
-    /// The vessel of several cylinders, in the order in which they were seen.
+impl MergedVessel {
+    /// Merges cylinders in the order in which they were recorded.
     pub fn of<'a>(cylinders: impl IntoIterator<Item = &'a FittedCylinder>, merge: Merge) -> Self {
         match merge {
             Merge::Stitch => {
@@ -57,7 +57,7 @@ impl Vessel {
         self.part(0..self.rings.len())
     }
 
-    /// Some rings of it.
+    /// The surface of a range of rings.
     pub(crate) fn part(&self, rings: Range<usize>) -> Surface {
         let rings = &self.rings[rings];
         let count = rings.first().map_or(0, |ring| ring.nodes_mm.len());
@@ -73,7 +73,7 @@ impl Vessel {
             triangles,
             arrays: Vec::new(),
         };
-        let array = |value: &dyn Fn(&Ring, usize) -> f64| {
+        let array = |value: &dyn Fn(&VesselRing, usize) -> f64| {
             rings.iter().flat_map(|r| (0..count).map(|j| value(r, j)).collect::<Vec<_>>()).collect()
         };
         surface.set_array("support", array(&|r, j| f64::from(r.support[j])));

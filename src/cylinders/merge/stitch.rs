@@ -1,13 +1,13 @@
-use super::{Ring, Vessel};
+use super::{MergedVessel, VesselRing};
 use crate::cylinders::fit::FittedCylinder;
 use glam::DVec3;
 
-impl Vessel {
+impl MergedVessel {
     /// Appends a cylinder with the given radii (its last ones, or those of another iteration) as published (thesis,
-    /// section 3.3; method, section 5): rings that it overlaps are dropped whole, the rest keep their order, and the
-    /// new rings come behind them, all turned by one shift so that their node 0 is the one nearest to node 0 of the
-    /// last kept ring. The lowest of equally near nodes is taken, looked for on the new cylinder's first ring.
-    /// Returns the first ring that is new or has another number than before.
+    /// section 3.3; `docs/method.md`, "Merging"). Rings that it overlaps are dropped as a whole, the others keep their
+    /// order, and the new rings follow them. One shift turns all new rings so that, on the cylinder's first ring, node 0 is
+    /// the node nearest to node 0 of the last kept ring; the lowest index wins a tie. Returns the index of the first ring
+    /// that is new or was renumbered.
     pub fn stitch(&mut self, cylinder: &FittedCylinder, radii_mm: &[f64]) -> usize {
         let count = cylinder.tube.tube.nodes;
         let nodes: Vec<DVec3> = cylinder.nodes_mm(radii_mm).collect();
@@ -35,7 +35,7 @@ impl Vessel {
         for (ring, ring_nodes) in nodes.chunks_exact(count).enumerate() {
             let turned = |j: usize| (j + shift) % count;
             let per_node = |j: usize| ring * count + turned(j);
-            self.rings.push(Ring {
+            self.rings.push(VesselRing {
                 frame: cylinder.frame,
                 nodes_mm: (0..count).map(|j| ring_nodes[turned(j)]).collect(),
                 support: (0..count).map(|j| cylinder.tube.support[per_node(j)]).collect(),

@@ -9,7 +9,7 @@
 //! Columns are found by name, others are ignored. Frame numbers rise in `poses.csv` and may leave gaps; a
 //! recording in memory counts its frames from 0.
 
-use super::table::{Column, Row, Table};
+use super::table::{Column, Table, TableRow};
 use crate::geometry::Pose;
 use crate::output::write_atomically;
 use crate::recording::CylinderModel;
@@ -101,7 +101,7 @@ fn columns<const N: usize>(table: &Table, names: [&'static str; N]) -> Result<[C
 
 fn known_frame<'a>(
     table: &Table,
-    row: &Row,
+    row: &TableRow,
     column: Column<'_>,
     index_of: &BTreeMap<u64, usize>,
     frames: &'a mut [Frame],

@@ -1,4 +1,4 @@
-//! The files that hold recordings.
+//! File formats of recordings.
 
 pub(super) mod csv;
 pub(super) mod mat;

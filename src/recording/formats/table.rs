@@ -12,13 +12,13 @@ pub(crate) struct Table {
     path: PathBuf,
     header: Vec<String>,
     /// The first line, where it holds numbers.
-    first: Option<Row>,
+    first: Option<TableRow>,
     records: csv::StringRecordsIntoIter<Cursor<Vec<u8>>>,
     decimal_comma: bool,
 }
 
 /// One line of a table.
-pub(crate) struct Row {
+pub(crate) struct TableRow {
     /// Where the reader stood before it: blank lines and half a line end may lie between.
     offset: u64,
     fields: csv::StringRecord,
@@ -99,21 +99,21 @@ impl Table {
         }
     }
 
-    pub fn next_row(&mut self) -> Result<Option<Row>> {
+    pub fn next_row(&mut self) -> Result<Option<TableRow>> {
         if let Some(row) = self.first.take() {
             return Ok(Some(row));
         }
         match self.records.next().transpose() {
             Ok(record) => Ok(record.map(|fields| {
                 let offset = fields.position().map_or(0, csv::Position::byte);
-                Row { offset, fields }
+                TableRow { offset, fields }
             })),
             Err(e) => Err(Error::input(&self.path, "text", e, "lines of UTF-8 text")),
         }
     }
 
     /// The number in a column; `None` where the field is empty.
-    pub fn optional_number(&self, row: &Row, column: Column<'_>) -> Result<Option<f64>> {
+    pub fn optional_number(&self, row: &TableRow, column: Column<'_>) -> Result<Option<f64>> {
         match row.fields.get(column.index) {
             Some("") => Ok(None),
             Some(field) => match self.parse(field) {
@@ -127,12 +127,12 @@ impl Table {
         }
     }
 
-    pub fn number(&self, row: &Row, column: Column<'_>) -> Result<f64> {
+    pub fn number(&self, row: &TableRow, column: Column<'_>) -> Result<f64> {
         self.optional_number(row, column)?.ok_or_else(|| self.fault(row, column, "nothing", "a number"))
     }
 
     /// A number that counts: whole and not negative.
-    pub fn count(&self, row: &Row, column: Column<'_>) -> Result<u64> {
+    pub fn count(&self, row: &TableRow, column: Column<'_>) -> Result<u64> {
         let number = self.number(row, column)?;
         if number.fract() == 0.0 && (0.0..9e15).contains(&number) {
             return Ok(number as u64);
@@ -143,7 +143,7 @@ impl Table {
     /// An error that names the line.
     pub fn fault(
         &self,
-        row: &Row,
+        row: &TableRow,
         column: Column<'_>,
         found: impl ToString,
         expected: impl ToString,

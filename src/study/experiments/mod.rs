@@ -1,7 +1,8 @@
-//! The experiments of the thesis (chapters 4 and 5) on a vessel that is known exactly.
+//! The experiments of the thesis (chapters 4 and 5) on a vessel of known geometry.
 //!
 //! One simulated insertion gives two recordings, with noise and without, and a second one without bending the tip a
-//! third; each is reconstructed and measured against the wall. [`Experiments`] holds every number that the report shows; [`DEFINITIONS`] says what they are.
+//! third; each is reconstructed and measured against the wall. [`Experiments`] holds every number that the report shows;
+//! [`DEFINITIONS`] defines them.
 
 mod primitive;
 mod series;
@@ -16,7 +17,7 @@ use crate::evaluate::{Coverage, Truth};
 use crate::geometry::Pose;
 use crate::recording::Recording;
 use crate::settings::{Backend, Method, Settings};
-use crate::simulate::{self, Insertion, Noise, Probe, Simulation, Vessel};
+use crate::simulate::{self, Insertion, Noise, Probe, SimulatedVessel, Simulation};
 use crate::surface::Surface;
 use serde::Serialize;
 use std::time::Instant;
@@ -36,7 +37,7 @@ pub const DEFINITIONS: [(&str, &str); 5] = [
     ("merged", "mean over the nodes of the stitched mesh"),
 ];
 
-/// What to run.
+/// The plan of the experiments.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// What to call the vessel.
@@ -44,7 +45,7 @@ pub struct Plan {
     /// How the recordings are reconstructed.
     pub settings: Settings,
     /// How they are simulated. Its noise is that of the noisy recording; the other has none.
-    pub simulation: simulate::Settings,
+    pub simulation: simulate::SimulationSettings,
 }
 
 impl Plan {
@@ -55,9 +56,9 @@ impl Plan {
             vessel_name: vessel_name.into(),
             // The choice of a device must not change the numbers.
             settings: Settings { method: Method::Cylinders, backend: Backend::Cpu, ..Settings::default() },
-            simulation: simulate::Settings {
+            simulation: simulate::SimulationSettings {
                 noise: Noise { seed, ..Noise::default() },
-                ..simulate::Settings::default()
+                ..simulate::SimulationSettings::default()
             },
         }
     }
@@ -82,7 +83,7 @@ pub struct Experiments {
     /// The settings of the reconstruction.
     pub settings: Settings,
     /// The settings of the simulation.
-    pub simulation: simulate::Settings,
+    pub simulation: simulate::SimulationSettings,
     /// Table 1.
     pub larger_cylinder: Convergence,
     /// Tables 2 and 3: ten iterations, of which Table 2 shows three.
@@ -121,7 +122,7 @@ pub struct Thesis {
     pub frustum_mean_mm_after_3: f64,
 }
 
-/// What came out.
+/// The results.
 #[derive(Debug, Clone)]
 pub struct Outcome {
     /// The numbers. The same plan and vessel give the same ones, whatever the number of threads.
@@ -149,12 +150,12 @@ pub struct Seconds {
     pub total: f64,
 }
 
-/// Runs the experiments in a vessel. `tell(stage, done, all)` hears how far a stage is, from any thread.
+/// Runs the experiments in a vessel. `tell(stage, done, all)` is called with the progress of a stage, from any thread.
 ///
 /// # Errors
 /// Where the simulation, the reconstruction or the evaluation fails.
 pub fn run(
-    vessel: Vessel,
+    vessel: SimulatedVessel,
     plan: &Plan,
     tell: &(dyn Fn(&'static str, usize, usize) + Sync),
 ) -> Result<Outcome> {
@@ -190,7 +191,7 @@ pub fn run(
     let steady_start = Instant::now();
     let insertion =
         Insertion { moves: Insertion::steady().moves, repeat: true, ..simulation.insertion.clone() };
-    let steady_settings = simulate::Settings { insertion, ..simulation.clone() };
+    let steady_settings = simulate::SimulationSettings { insertion, ..simulation.clone() };
     let steady = Simulation::run(simulated.vessel.clone(), &steady_settings)?;
     let coverage = coverage_of(&steady, &truth)?;
     let (noisy_steady, ..) = measure("with noise, never bent", &steady.recording, &coverage)?;
@@ -226,7 +227,7 @@ pub fn run(
     Ok(Outcome { experiments, noiseless_mesh, noisy_mesh, seconds })
 }
 
-/// What the probe saw, which is the same with noise and without.
+/// The part of the truth that the recording covers, the same with noise and without.
 fn coverage_of(simulation: &Simulation, truth: &Truth) -> Result<Coverage> {
     Coverage::of(&simulation.truth_recording, Pose::IDENTITY, truth.surface(), Coverage::WITHIN_MM)
 }

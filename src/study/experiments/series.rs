@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::cylinders::fit::{Engine, FittedCylinder};
-use crate::cylinders::merge::Vessel;
+use crate::cylinders::merge::MergedVessel;
 use crate::cylinders::{CylinderReconstruction, PointCounts};
 use crate::evaluate::{Coverage, Evaluation, Locator, Truth, evaluate_covered};
 use crate::recording::Recording;
@@ -49,7 +49,7 @@ pub struct Merged {
     pub evaluation: Evaluation,
 }
 
-/// How some numbers are spread, mm. Quartiles by nearest rank.
+/// Distribution of some numbers, mm. Quartiles by nearest rank.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Spread {
     /// How many.
@@ -152,7 +152,7 @@ impl Merged {
         errors_mm: &[Vec<f64>],
         (truth, coverage): (&Truth, &Coverage),
     ) -> Result<(Self, Surface)> {
-        let mut vessel = Vessel::default();
+        let mut vessel = MergedVessel::default();
         // Of each ring of the vessel: its first node, by which it is known again, and the mean error of its nodes.
         let mut known: Vec<(DVec3, f64)> = Vec::new();
         let mut growth_mean_mm = Vec::with_capacity(cylinders.len());

@@ -65,7 +65,7 @@ struct Element {
 
 impl Element {
     /// The fewest bytes that its rows can take: what the file must at least hold.
-    fn least_bytes(&self, encoding: Encoding) -> usize {
+    fn min_bytes(&self, encoding: Encoding) -> usize {
         let row: usize = match encoding {
             Encoding::Text => 2 * self.properties.len(),
             _ => self.properties.iter().map(|p| p.list.unwrap_or(p.number).size()).sum(),
@@ -148,7 +148,7 @@ pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
     let mut surface = Surface::default();
     let mut polygons = Vec::new();
     for element in &elements {
-        if element.least_bytes(encoding) > body.rest.len() {
+        if element.min_bytes(encoding) > body.rest.len() {
             return Err(Error::input(
                 path,
                 format!("element {}", element.name),

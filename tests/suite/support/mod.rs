@@ -1,10 +1,14 @@
-//! What tests share: shapes, recorded data and outside tools.
+//! What the tests share: shapes, recorded data and outside tools.
+
+#[path = "../../support/required.rs"]
+mod required;
+
+pub use required::{shared, skipped};
 
 pub mod vessel;
 
 use glam::DVec3;
 use lumenmesh::surface::Surface;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -54,28 +58,6 @@ pub fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// A file of the shared data; `None`, said loudly, where that data is not there.
-pub fn shared(path: &str) -> Option<PathBuf> {
-    let folder =
-        std::env::var_os("LUMENMESH_SHARED").map_or_else(|| PathBuf::from("../shared"), PathBuf::from);
-    let file = folder.join(path);
-    if file.exists() {
-        return Some(file);
-    }
-    let what = format!("{} is missing (LUMENMESH_SHARED names the data's folder)", file.display());
-    skipped(&what, "LUMENMESH_REQUIRE_DATA");
-    None
-}
-
-/// Says that a test leaves something out, even where it passes and what `eprintln` writes is not shown; fails where
-/// the variable is 1.
-pub fn skipped(what: &str, required_by: &str) {
-    let required = std::env::var(required_by).is_ok_and(|value| value == "1");
-    assert!(!required, "{what}");
-    let mut unseen_by_the_test_harness = std::io::stderr().lock();
-    writeln!(unseen_by_the_test_harness, "SKIPPED: {what}").unwrap();
-}
-
 /// A Python that can import VTK.
 pub struct Python(PathBuf);
 
@@ -88,7 +70,7 @@ impl Python {
     }
 }
 
-/// `LUMENMESH_PYTHON` or `python3`; `None`, said loudly, where it cannot import VTK.
+/// `LUMENMESH_PYTHON` or `python3`; `None`, with a line on stderr, where it cannot import VTK.
 pub fn python_with_vtk() -> Option<Python> {
     let python = std::env::var_os("LUMENMESH_PYTHON").unwrap_or_else(|| "python3".into());
     let imported = Command::new(&python).args(["-c", "import vtk, numpy"]).output();

@@ -7,7 +7,7 @@ use lumenmesh::simulate::{self, Phantom, Shape, Simulation};
 use lumenmesh::surface::Surface;
 
 /// A recording of a phantom.
-pub fn simulated(shape: &str, settings: &simulate::Settings) -> Simulation {
+pub fn simulated(shape: &str, settings: &simulate::SimulationSettings) -> Simulation {
     let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
     Simulation::run(vessel, settings).unwrap()
 }

@@ -312,11 +312,11 @@ fn factors(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sweep::wall::solver::Solver;
     use crate::sweep::wall::passes::{
         couple, eliminate, hartley_first, hartley_second_spectrum, hartley_second_values, substitute,
         twiddles,
     };
+    use crate::sweep::wall::solver::Solver;
 
     /// Uneven weights, and rings before, amid and behind them without any.
     fn ring_weights(rings: usize) -> Vec<f64> {
