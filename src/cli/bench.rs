@@ -1,6 +1,6 @@
 use super::print_json;
 use crate::Result;
-use crate::study::bench::{Case, Parity, Row, SweepCase, SweepRow, Times, run, run_sweep};
+use crate::study::bench::{BenchRow, Case, Parity, SweepCase, SweepRow, Times, run, run_sweep};
 use serde::Serialize;
 
 /// Measure how fast the engines are on this machine
@@ -47,7 +47,7 @@ struct Output {
     adapter: Option<String>,
     copy_gb_per_s: Option<f64>,
     cold_start_s: Option<f64>,
-    rows: Vec<Row>,
+    rows: Vec<BenchRow>,
     sweeps: Vec<SweepRow>,
 }
 
@@ -154,7 +154,7 @@ fn print_sweep(row: &SweepRow) {
     }
 }
 
-fn print_row(row: &Row) {
+fn print_row(row: &BenchRow) {
     println!();
     println!("{}, 3 iterations", row.case);
     print_parity(&row.parity);

@@ -13,9 +13,9 @@ use std::collections::BTreeMap;
 pub struct Device {
     /// The engine, its pipelines built.
     pub engine: GpuEngine,
-    /// Bytes read and written a second when the device copies a large buffer.
+    /// Bytes read and written per second when the device copies a large buffer.
     pub copy_bytes_per_s: f64,
-    /// Seconds from nothing to the first result: adapter, device, shaders, a small fit.
+    /// Seconds to the first result: adapter, device, shaders, a small fit.
     pub cold_start_s: f64,
 }
 
@@ -119,17 +119,17 @@ impl Device {
                     flops,
                     share_of_copy_bandwidth: share,
                 };
-                // A pass without work is not a pass that is fast.
+                // Passes without work are left out.
                 (bytes > 0).then_some(row)
             })
             .collect())
     }
 }
 
-/// What the passes of a fit have to do.
+/// The amount of work of the passes of a fit.
 struct Work {
     points: u64,
-    /// Those in faces that several invocations share, and those in faces that a workgroup takes alone.
+    /// Those in short faces, which several invocations share, and those in long faces, each of one workgroup.
     short: u64,
     long: u64,
     faces: u64,
@@ -165,7 +165,7 @@ impl Work {
             "measure_short" if short > 0 => {
                 (iterations * (12 * short + (4 + 24) * faces + 4 * nodes), iterations * 250 * short)
             }
-            // Keys are written once and read once a round: four rounds and the sums.
+            // Keys are written once, and read in each of four rounds and for the sums.
             "measure_long" => (iterations * (12 + 4 + 5 * 4) * long, iterations * 250 * long),
             "fill_bottom" | "fill_top" => (iterations * (12 + 4) * faces, 0),
             "update" => (iterations * (8 * faces + 8 * nodes), 0),

@@ -1,7 +1,8 @@
-//! How fast the engines are: the same work on the CPU and on a device, checked before it is timed.
+//! Speed of the engines: the same work on the CPU and on a device, whose results are compared before it is
+//! timed.
 //!
-//! Times are medians with their spread; upload, passes, readback and the whole are told apart. A device's bytes
-//! per pass are counted from what it must read and write and set against the copy bandwidth that the same
+//! Times are medians with their range; upload, passes, readback and the whole are timed separately. The bytes
+//! of a pass are those that it must read and write, and are compared with the copy bandwidth that the same
 //! process measures.
 
 #[cfg(feature = "gpu")]
@@ -23,10 +24,10 @@ use std::time::Instant;
 /// The radius of the tube that is fitted, mm.
 const RADIUS_MM: f64 = 12.0;
 
-/// How the points lie.
+/// The distribution of the points over the tube.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Spread {
+pub enum PointPattern {
     /// All over the tube.
     Even,
     /// All in 1 % of the faces.
@@ -44,18 +45,19 @@ pub struct Case {
     pub levels: u32,
     /// Number of points.
     pub points: usize,
-    /// How they lie.
-    pub spread: Spread,
+    /// Their distribution.
+    #[serde(rename = "spread")]
+    pub pattern: PointPattern,
 }
 
 impl FromStr for Case {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (size, spread) = match text.split_once(':') {
-            None => (text, Spread::Even),
-            Some((size, "crowded")) => (size, Spread::Crowded),
-            Some((size, "half")) => (size, Spread::Half),
+        let (size, pattern) = match text.split_once(':') {
+            None => (text, PointPattern::Even),
+            Some((size, "crowded")) => (size, PointPattern::Crowded),
+            Some((size, "half")) => (size, PointPattern::Half),
             Some((_, other)) => return Err(format!("found {other:?}, expected crowded or half")),
         };
         let parts: Vec<&str> = size.split('x').collect();
@@ -71,7 +73,7 @@ impl FromStr for Case {
             nodes: number(nodes)? as u32,
             levels: number(levels)? as u32,
             points: number(points)? as usize,
-            spread,
+            pattern,
         })
     }
 }
@@ -79,10 +81,10 @@ impl FromStr for Case {
 impl fmt::Display for Case {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         write!(f, "{}x{} {:.0e}", self.nodes, self.levels, self.points as f64)?;
-        match self.spread {
-            Spread::Even => Ok(()),
-            Spread::Crowded => write!(f, " crowded"),
-            Spread::Half => write!(f, " half"),
+        match self.pattern {
+            PointPattern::Even => Ok(()),
+            PointPattern::Crowded => write!(f, " crowded"),
+            PointPattern::Half => write!(f, " half"),
         }
     }
 }
@@ -97,10 +99,10 @@ impl Case {
     pub fn section(&self, seed: u64) -> Section<f32> {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let height = Settings::default().height_mm;
-        let (z_share, theta_share) = match self.spread {
-            Spread::Even => (1.0, 1.0),
-            Spread::Crowded => (0.1, 0.1),
-            Spread::Half => (1.0, 0.5),
+        let (z_share, theta_share) = match self.pattern {
+            PointPattern::Even => (1.0, 1.0),
+            PointPattern::Crowded => (0.1, 0.1),
+            PointPattern::Half => (1.0, 0.5),
         };
         let mut section = Section::default();
         for _ in 0..self.points {
@@ -138,7 +140,7 @@ impl Times {
         Self { median_ms: at(seconds.len() / 2), min_ms: at(0), max_ms: at(seconds.len().saturating_sub(1)) }
     }
 
-    /// The times of some repeats of some work.
+    /// Times some repeats of some work.
     ///
     /// # Errors
     /// The work's.
@@ -154,33 +156,33 @@ impl Times {
     }
 }
 
-/// What a case takes on the CPU.
+/// Times of a case on the CPU.
 #[derive(Debug, Clone, Serialize)]
 pub struct CpuRow {
     /// The whole fit on one thread.
     pub one_thread: Times,
     /// The whole fit on all threads.
     pub all_threads: Times,
-    /// How many those are.
+    /// The number of threads.
     pub threads: usize,
 }
 
-/// What a case takes on the device.
+/// Times of a case on the device.
 #[derive(Debug, Clone, Serialize)]
 pub struct DeviceRow {
-    /// Host slices in, tube out.
+    /// From host slices to the tube.
     pub end_to_end: Times,
-    /// The points' way to the device.
+    /// The points' transfer to the device.
     pub upload: Times,
-    /// All passes, points resident, until the device is done.
+    /// All passes, with the points on the device, until it is done.
     pub resident: Times,
-    /// The radii's way back.
+    /// The radii's transfer back.
     pub readback: Times,
     /// Each pass, timed on the device, as the sum over a fit; absent where the device has no timestamps.
     pub passes: Vec<PassRow>,
 }
 
-/// What a pass takes in a whole fit.
+/// A pass over a whole fit.
 #[derive(Debug, Clone, Serialize)]
 pub struct PassRow {
     /// The pass.
@@ -189,7 +191,7 @@ pub struct PassRow {
     pub median_ms: f64,
     /// Bytes that it must read and write in a fit, each input once and each output once.
     pub bytes: u64,
-    /// Floating-point operations in a fit: 250 for each distance; what the other passes do is not counted.
+    /// Floating-point operations in a fit: 250 for each distance; those of other passes are not counted.
     pub flops: u64,
     /// Those bytes per second over the copy bandwidth measured in this process.
     pub share_of_copy_bandwidth: f64,
@@ -197,7 +199,7 @@ pub struct PassRow {
 
 /// A case on all engines.
 #[derive(Debug, Clone, Serialize)]
-pub struct Row {
+pub struct BenchRow {
     /// The case.
     pub case: Case,
     /// On the CPU.
@@ -209,7 +211,7 @@ pub struct Row {
     pub parity: Parity,
 }
 
-/// How far two engines' results lie apart.
+/// Differences between two engines' results.
 #[derive(Debug, Clone, Serialize)]
 pub struct Parity {
     /// The two engines.
@@ -225,13 +227,13 @@ pub struct Parity {
 }
 
 impl Parity {
-    /// Most of |Δr|'s median, mm: single decisions may fall the other way on a boundary, most must not.
-    const MOST_MEDIAN_MM: f64 = 1e-4;
+    /// Largest median of |Δr|, mm: a few decisions at boundaries may differ, most must not.
+    const MAX_MEDIAN_MM: f64 = 1e-4;
 
     /// Compares two results.
     ///
     /// # Errors
-    /// [`Error::Surface`] where they did not see the same points or their median difference is too large.
+    /// [`Error::Surface`] where they fitted different numbers of points or their median difference is too large.
     pub fn check(names: [&str; 2], a: &DeformedTube, b: &DeformedTube) -> Result<Self> {
         if a.points != b.points {
             return Self::fail(names, "points", b.points.to_string(), a.points.to_string());
@@ -246,7 +248,7 @@ impl Parity {
     /// Compares the radii of two results, mm.
     ///
     /// # Errors
-    /// [`Error::Surface`] where these are not of the same nodes or their median difference is too large.
+    /// [`Error::Surface`] where the numbers of nodes differ or the median difference is too large.
     pub fn of(names: [&str; 2], a: &[f64], b: &[f64]) -> Result<Self> {
         if a.len() != b.len() {
             return Self::fail(names, "nodes", b.len().to_string(), a.len().to_string());
@@ -262,16 +264,16 @@ impl Parity {
             p99_mm: rank(0.99),
         };
         // A NaN fails too.
-        if parity.median_mm <= Self::MOST_MEDIAN_MM {
+        if parity.median_mm <= Self::MAX_MEDIAN_MM {
             Ok(parity)
         } else {
-            let limit = format!("at most {} mm", Self::MOST_MEDIAN_MM);
+            let limit = format!("at most {} mm", Self::MAX_MEDIAN_MM);
             Self::fail(names, "median difference of the radii", format!("{} mm", parity.median_mm), limit)
         }
     }
 }
 
-/// Times a case: the CPU against its f64 reference, and the device against the CPU.
+/// Times a case, after comparing the device with the CPU, or without a device the CPU with its f64 reference.
 ///
 /// # Errors
 /// Where two engines disagree, or one fails. No time is taken then.
@@ -279,7 +281,7 @@ pub fn run(
     case: Case,
     repeats: usize,
     #[cfg(feature = "gpu")] device: Option<&device::Device>,
-) -> Result<Row> {
+) -> Result<BenchRow> {
     let settings = case.settings();
     settings.validate()?;
     let section = case.section(1);
@@ -305,7 +307,7 @@ pub fn run(
         all_threads: Times::measure(repeats, fit)?,
         threads: rayon::current_num_threads(),
     };
-    Ok(Row { case, cpu: cpu_row, device, parity })
+    Ok(BenchRow { case, cpu: cpu_row, device, parity })
 }
 
 fn against_reference(section: &Section<f32>, settings: &Settings, found: &DeformedTube) -> Result<Parity> {

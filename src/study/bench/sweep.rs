@@ -13,17 +13,17 @@ use std::f64::consts::TAU;
 use std::fmt;
 use std::str::FromStr;
 
-/// How long the vessel is, mm.
+/// Length of the vessel, mm.
 const LENGTH_MM: f64 = 500.0;
 /// Most rays of a frame.
-const MOST_RAYS: usize = 512;
+const MAX_RAYS: usize = 512;
 
 /// One size of a sweep: `512x1e6`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SweepCase {
-    /// N: nodes a ring.
+    /// N: nodes per ring.
     pub nodes: u32,
-    /// Number of echoes, but for what is left of the last frame.
+    /// Number of echoes, rounded down to whole frames.
     pub echoes: usize,
 }
 
@@ -48,7 +48,7 @@ impl FromStr for SweepCase {
 
 impl fmt::Display for SweepCase {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        write!(f, "sweep, {} nodes a ring, {:.0e} echoes", self.nodes, self.echoes as f64)
+        write!(f, "sweep, {} nodes per ring, {:.0e} echoes", self.nodes, self.echoes as f64)
     }
 }
 
@@ -56,7 +56,7 @@ impl SweepCase {
     /// A pullback through a wavy, winding vessel with a noise of 0.5 mm, the same for the same seed.
     pub fn recording(&self, seed: u64) -> Recording {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-        let rays = (self.nodes as usize).min(MOST_RAYS);
+        let rays = (self.nodes as usize).min(MAX_RAYS);
         let count = self.echoes / rays;
         let curve = |s: f64| DVec3::new(s, 15.0 * (s / 70.0).sin(), 15.0 * (s / 90.0).cos());
         let mut frame = |k: usize| {
@@ -85,36 +85,36 @@ impl SweepCase {
     }
 }
 
-/// What fitting a wall takes.
+/// Times of fitting a wall.
 #[derive(Debug, Clone, Serialize)]
 pub struct SweepRow {
     /// The case.
     pub case: SweepCase,
     /// Rings of the wall.
     pub rings: usize,
-    /// Robust reweightings, and steps of the solver in all of them.
+    /// Robust reweightings.
     pub iterations: usize,
-    /// Steps of the solver.
+    /// Steps of the solver in all of them.
     pub solver_steps: usize,
     /// Fitting the wall on the CPU, in f64, once.
     pub cpu_ms: f64,
-    /// The same on the device, where there is one, with the echoes' way there and back.
+    /// The same on the device, where there is one, with the transfer of the echoes to it and back.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub device: Option<SweepDeviceRow>,
 }
 
-/// What fitting a wall takes on a device.
+/// Times of fitting a wall on a device.
 #[derive(Debug, Clone, Serialize)]
 pub struct SweepDeviceRow {
     /// The whole fit.
     pub fit: Times,
-    /// How the walls were compared before.
+    /// The comparison of the walls before anything was timed.
     pub parity: Parity,
     /// Device time of each pass over a fit, ms; absent where the device has no timestamps.
     pub passes: Vec<SweepPassRow>,
 }
 
-/// What a pass takes in a whole fit.
+/// A pass over a whole fit.
 #[derive(Debug, Clone, Serialize)]
 pub struct SweepPassRow {
     /// The pass.
@@ -123,7 +123,7 @@ pub struct SweepPassRow {
     pub ms: f64,
 }
 
-/// Times a sweep's wall: the device against the CPU, after both have given the same wall.
+/// Times the fit of a sweep's wall on the CPU and on the device, after comparing their walls.
 ///
 /// # Errors
 /// Where the two disagree, or one fails.
