@@ -5,8 +5,8 @@ use crate::numerics::inclusive_scan;
 /// Replaces the sum of each block by the sum of all blocks before it.
 pub fn scan_spine(block_sums: &mut [u32]) {
     inclusive_scan(block_sums);
-    block_sums.rotate_right(1);
-    if let Some(first) = block_sums.first_mut() {
-        *first = 0;
+    if let Some(last) = block_sums.len().checked_sub(1) {
+        block_sums.copy_within(..last, 1);
+        block_sums[0] = 0;
     }
 }
