@@ -12,8 +12,11 @@ pub mod numerics {
 pub mod cylinders {
     #[cfg(feature = "gpu")]
     pub use crate::cylinders::fit::gpu;
-    pub use crate::cylinders::fit::passes;
     pub use crate::cylinders::fit::{Groups, group};
+    /// The passes of the fit, twins of `shaders/cylinders/`.
+    pub mod passes {
+        pub use crate::cylinders::passes::*;
+    }
 }
 
 /// The sweep: see [`crate::sweep`].

@@ -1,9 +1,9 @@
 //! The published method, frame by frame.
 
-use super::Track;
 use super::estimate::LocalEstimate;
 use super::fit::{Engine, FitRequest, engine};
 use super::merge::MergedVessel;
+use super::track::Track;
 use crate::recording::Frame;
 use crate::settings::{Merge, Settings};
 use crate::{Error, Result};

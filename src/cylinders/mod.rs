@@ -8,15 +8,16 @@ pub mod estimate;
 pub(crate) mod fit;
 pub(crate) mod live;
 pub mod merge;
+pub(crate) mod passes;
 mod track;
 mod tube;
 
 #[cfg(feature = "gpu")]
 pub use fit::gpu::GpuEngine;
-pub use fit::passes::Section;
 pub use fit::{
     AutoEngine, CpuEngine, DeformedTube, Engine, FitRequest, FittedCylinder, engine, merged_frames,
 };
+pub use passes::Section;
 pub use track::{NearFrame, PlacedCylinder, Track};
 pub use tube::Tube;
 

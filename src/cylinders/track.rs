@@ -1,5 +1,5 @@
 use super::estimate::{CylinderEstimator, LocalEstimate};
-use super::fit::passes::{Gate, Section, TubeTransform, project};
+use super::passes::{Gate, Section, TubeTransform, project};
 use crate::geometry::Pose;
 use crate::numerics::Scalar;
 use crate::recording::{CylinderModel, Frame, Recording};

@@ -90,8 +90,8 @@ fn assert_used(common: &Path, passes: &[&Shader]) {
 /// Folders of shaders, and the folders of their twins in Rust.
 const TWINS: [(&str, &str); 5] = [
     ("shaders/common", "src/numerics"),
-    ("shaders/cylinders/common", "src/cylinders/fit/passes"),
-    ("shaders/cylinders", "src/cylinders/fit/passes"),
+    ("shaders/cylinders/common", "src/cylinders/passes"),
+    ("shaders/cylinders", "src/cylinders/passes"),
     ("shaders/sweep/common", "src/sweep/wall/passes"),
     ("shaders/sweep", "src/sweep/wall/passes"),
 ];

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Modules from the bottom to the top; the longest prefix of a path decides.
-const ORDER: [&str; 31] = [
+const ORDER: [&str; 32] = [
     "numerics",
     "geometry",
     "gpu",
@@ -26,8 +26,9 @@ const ORDER: [&str; 31] = [
     "sweep::wall",
     "sweep::support",
     "sweep::tracker",
-    "sweep::mesh",
+    "sweep::surface",
     "sweep::live",
+    "sweep::report",
     "sweep",
     "reconstruction",
     "evaluate",

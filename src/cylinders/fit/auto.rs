@@ -1,6 +1,6 @@
-use super::passes::Section;
 use super::{CpuEngine, DeformedTube, Engine, FitRequest, FittedCylinder};
 use crate::Result;
+use crate::cylinders::passes::Section;
 #[cfg(feature = "gpu")]
 use crate::engine;
 use crate::engine::{EngineDescription, WORTH_A_DEVICE_S};

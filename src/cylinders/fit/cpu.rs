@@ -1,13 +1,13 @@
 //! The fit on the CPU: f32 as the device computes it, or f64 as the reference.
 
 use super::groups::{Groups, group};
-use super::passes::{
+use super::{DeformedTube, Engine, EngineDescription, FitRequest, FittedCylinder, check_section};
+use crate::Result;
+use crate::cylinders::passes::{
     Face, Filter, Section, TriangleStatistic, TubeGrid, distance, fill, measure_long, measure_short, support,
     update,
 };
-use super::{DeformedTube, Engine, EngineDescription, FitRequest, FittedCylinder, check_section};
-use crate::Result;
-use crate::cylinders::Tube;
+use crate::cylinders::tube::Tube;
 use crate::numerics::Scalar;
 use crate::settings::Settings;
 use rayon::prelude::*;

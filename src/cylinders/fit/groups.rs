@@ -1,8 +1,8 @@
 //! Points grouped by face: a counting sort, once per cylinder, since a node moves in r only and a point's face
 //! never changes.
 
-use super::passes::{Section, TubeGrid, bin, scan_downsweep, scan_reduce, scan_spine, scatter};
-use crate::cylinders::Tube;
+use crate::cylinders::passes::{Section, TubeGrid, bin, scan_downsweep, scan_reduce, scan_spine, scatter};
+use crate::cylinders::tube::Tube;
 use crate::numerics::Scalar;
 
 /// A section's points, face after face.

@@ -2,20 +2,21 @@
 //! thesis, UPC / KU Leuven, 2023, section 3.2; docs/method.md, "Local cylinder fit").
 //!
 //! A [`Track`] holds the frames; an [`Engine`] fits the cylinders that a [`FitRequest`] names. Engines differ in
-//! the processor and the precision, not in the method: its steps are the [`passes`].
+//! the processor and the precision, not in the method: its steps are the [`passes`](super::passes).
 
 mod auto;
 mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 mod groups;
-pub mod passes;
 
 pub use auto::AutoEngine;
 pub use cpu::CpuEngine;
 pub use groups::{Groups, group};
 
-use super::{Track, Tube};
+use super::passes::Section;
+use super::track::Track;
+use super::tube::Tube;
 use crate::engine::EngineDescription;
 use crate::geometry::Pose;
 #[cfg(not(feature = "gpu"))]
@@ -23,7 +24,6 @@ use crate::settings::no_gpu_engine;
 use crate::settings::{Backend, Settings};
 use crate::{Error, Result};
 use glam::DVec3;
-use passes::Section;
 use std::path::Path;
 
 /// The cylinders that an engine fits, and how.

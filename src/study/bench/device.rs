@@ -4,8 +4,8 @@ use super::{DeviceRow, PassRow, RADIUS_MM, Times};
 use crate::Result;
 use crate::cylinders::Tube;
 use crate::cylinders::fit::gpu::{FitWorkspace, GpuEngine, PASSES};
-use crate::cylinders::fit::passes::Section;
 use crate::cylinders::fit::{Engine, group};
+use crate::cylinders::passes::Section;
 use crate::settings::Settings;
 use std::collections::BTreeMap;
 

@@ -11,8 +11,8 @@ mod sweep;
 
 pub use sweep::{SweepCase, SweepDeviceRow, SweepPassRow, SweepRow, run_sweep};
 
-use crate::cylinders::fit::passes::Section;
 use crate::cylinders::fit::{CpuEngine, DeformedTube, Engine};
+use crate::cylinders::passes::Section;
 use crate::settings::Settings;
 use crate::{Error, Result};
 use rand::{RngExt, SeedableRng};

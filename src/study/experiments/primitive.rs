@@ -1,8 +1,8 @@
 //! Tables 1 to 3: one tube and a wall that is known by a formula.
 
 use crate::Result;
-use crate::cylinders::fit::passes::Section;
 use crate::cylinders::fit::{CpuEngine, Engine};
+use crate::cylinders::passes::Section;
 use crate::settings::Settings;
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};

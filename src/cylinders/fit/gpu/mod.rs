@@ -13,11 +13,11 @@ pub use stages::CpuStages;
 pub use workspace::FitWorkspace;
 
 use super::cpu::residual_mm;
-use super::passes::{DeviceCylinder, DevicePair, Section};
 use super::{DeformedTube, Engine, EngineDescription, FitRequest, FittedCylinder, check_section};
 use crate::Result;
-use crate::cylinders::Tube;
+use crate::cylinders::passes::{DeviceCylinder, DevicePair, Section};
 use crate::cylinders::track::empty_section;
+use crate::cylinders::tube::Tube;
 use crate::gpu::{AdapterDescription, Context, GpuError, Runner, Timer};
 use crate::settings::Settings;
 use rayon::prelude::*;
@@ -299,7 +299,7 @@ struct Batch {
 }
 
 /// A cylinder's pairs: points of the track, and `cylTi`.
-type Pairs = Vec<crate::cylinders::NearFrame>;
+type Pairs = Vec<crate::cylinders::track::NearFrame>;
 
 impl GpuEngine {
     /// Cuts a request into batches that fit the device.

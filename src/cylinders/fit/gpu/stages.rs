@@ -3,7 +3,7 @@
 use super::FitWorkspace;
 use crate::cylinders::fit::DeformedTube;
 use crate::cylinders::fit::cpu::Deformation;
-use crate::cylinders::fit::passes::{NONE, Section};
+use crate::cylinders::passes::{NONE, Section};
 use crate::gpu::{Context, GpuError, checked};
 use crate::settings::Settings;
 

@@ -2,7 +2,7 @@
 
 use super::pass::{Items, LANES, Pass, Stage};
 use super::{CpuStages, ReadyPass};
-use crate::cylinders::fit::passes::{DeviceCylinder, DevicePair, FitParameters};
+use crate::cylinders::passes::{DeviceCylinder, DevicePair, FitParameters};
 use crate::gpu::{Buffers, Context, GpuError, Timer, dispatch_size};
 use crate::settings::Settings;
 use std::collections::BTreeMap;

@@ -1,7 +1,7 @@
 //! Values of triangles without kept points (docs/method.md, "Local cylinder fit").
 
 use super::TriangleStatistic;
-use crate::cylinders::Tube;
+use crate::cylinders::tube::Tube;
 use crate::numerics::Scalar;
 
 /// The value of every triangle, mm: its own statistic's, or the mean over its edge neighbours where no distance was

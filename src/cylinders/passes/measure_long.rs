@@ -35,7 +35,7 @@ fn quartiles<T: Scalar>(distances: &[T], keys: &mut Vec<T::Key>) -> (T, T) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cylinders::fit::passes::measure_short;
+    use crate::cylinders::passes::measure_short;
     use crate::settings::{Outliers, Statistic};
 
     #[test]

@@ -61,7 +61,7 @@ fn sort<K: Copy + Ord>(keys: &mut [K]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cylinders::fit::passes::measure_long;
+    use crate::cylinders::passes::measure_long;
     use crate::settings::Outliers;
 
     fn with(outliers: Outliers, statistic: Statistic) -> Filter<f64> {

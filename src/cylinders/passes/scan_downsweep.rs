@@ -19,7 +19,7 @@ pub fn scan_downsweep(counts: &[u32], block_sums: &[u32]) -> Vec<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cylinders::fit::passes::{scan_reduce, scan_spine};
+    use crate::cylinders::passes::{scan_reduce, scan_spine};
 
     #[test]
     fn the_three_steps_give_the_number_of_points_before_each_face() {

@@ -1,7 +1,7 @@
 //! The step of the nodes (docs/method.md, "Local cylinder fit").
 
 use super::Filter;
-use crate::cylinders::Tube;
+use crate::cylinders::tube::Tube;
 use crate::numerics::Scalar;
 
 /// Moves every node along r by the mean of its incident triangles' values and returns the mean |travel|, mm.

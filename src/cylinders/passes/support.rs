@@ -1,7 +1,7 @@
 //! The number of points that support each node, and their residual.
 
 use super::TriangleStatistic;
-use crate::cylinders::Tube;
+use crate::cylinders::tube::Tube;
 use crate::numerics::Scalar;
 
 /// Per node: the number of points kept on the triangles that meet there, and their mean |distance|, mm (0 without

@@ -1,7 +1,7 @@
 //! What the passes know of a fit, and the statistic that they exchange. The shaders' structures are in
 //! `shaders/cylinders/common/parameters.wgsl`; a test compares the layouts.
 
-use crate::cylinders::Tube;
+use crate::cylinders::tube::Tube;
 use crate::numerics::Scalar;
 use crate::settings::{Outliers, Settings, Statistic};
 use bytemuck::{Pod, Zeroable};
