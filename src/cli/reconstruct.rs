@@ -146,7 +146,7 @@ fn print_sweep(report: &sweep::SweepReport) {
     println!("{:.1} ms weighing support", seconds.support * 1e3);
 }
 
-/// What the tracker got wrong.
+/// Errors of the tracker.
 fn print_tracker(tracker: &sweep::Tracker) {
     println!(
         "tracker    noise of {:.3} mm an axis; {:.3} mm and {:.3}° taken off (root mean square)",
@@ -158,7 +158,7 @@ fn print_tracker(tracker: &sweep::Tracker) {
     }
 }
 
-/// What computed, and why where it was chosen.
+/// The engine, and the reason where it was chosen automatically.
 fn print_engine(engine: &EngineDescription, threads: usize) {
     match &engine.adapter {
         Some(adapter) => println!("engine     {} on {adapter}", engine.name),

@@ -8,9 +8,9 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// Play a recording frame by frame into a vessel that grows, and say how long each frame takes
+/// Replay a recording frame by frame into a growing vessel and report the time of each frame
 ///
-/// What a program that shows the vessel during the intervention would do: every frame brings the mesh up to date.
+/// As a program would do that shows the vessel during the intervention: every frame updates the mesh.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh replay pullback.mat -o vessel.vtp
@@ -24,7 +24,7 @@ pub(super) struct Arguments {
     /// Mesh to write after the last frame: .vtp, .ply, .stl or .obj
     #[arg(short, long, value_name = "MESH")]
     output: PathBuf,
-    /// Wait for each frame's time, 12 frames a second where they have none
+    /// Wait for each frame's time; 12 frames per second where they have none
     #[arg(long)]
     real_time: bool,
     /// Print the summary as JSON
@@ -43,12 +43,12 @@ struct Summary<'a> {
     frames: usize,
     /// Frames that brought no change because they could not be used, and why.
     refused: Vec<String>,
-    /// Frames too far from the vessel's axis to have a part in it.
+    /// Frames too far from the vessel's axis to be used.
     off_axis: usize,
     /// The first frame with a vessel.
     first_frame: Option<usize>,
     push_ms: Percentiles,
-    /// The most that one frame took.
+    /// The longest time of a frame.
     most_work: Work,
     /// Rings after each tenth of the frames.
     rings: Vec<usize>,
@@ -146,7 +146,7 @@ impl Arguments {
     }
 }
 
-/// A gap in the recording's times need not be sat through, s.
+/// Longest wait for a frame, s: gaps in the recording's times are shortened to it.
 const LONGEST_WAIT_S: f64 = 5.0;
 
 impl Summary<'_> {

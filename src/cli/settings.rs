@@ -19,7 +19,7 @@ pub(super) struct SettingsArguments {
     /// see lumenmesh devices]
     #[arg(long, value_name = "NAME")]
     adapter: Option<String>,
-    /// Of cylinders: nodes a ring [default: 12]
+    /// Of cylinders: nodes per ring [default: 12]
     #[arg(long, value_name = "N")]
     nodes: Option<u32>,
     /// Of cylinders: levels of faces [default: 5]
@@ -37,16 +37,16 @@ pub(super) struct SettingsArguments {
     /// Of cylinders: which distances of a triangle count [default: iqr]
     #[arg(long, value_enum)]
     outliers: Option<Outliers>,
-    /// Of cylinders: what stands for the distances of a triangle [default: mean]
+    /// Of cylinders: statistic of the distances of a triangle [default: mean]
     #[arg(long, value_enum)]
     statistic: Option<Statistic>,
-    /// Of cylinders: fit and merge one every so many frames [default: 10]
+    /// Of cylinders: frames from one fitted cylinder to the next [default: 10]
     #[arg(long, value_name = "FRAMES")]
     every: Option<u32>,
     /// Of cylinders: how they become one vessel [default: stitch]
     #[arg(long, value_enum)]
     merge: Option<Merge>,
-    /// Of a sweep: nodes a ring [default: one for each ray, as far as echoes suffice]
+    /// Of a sweep: nodes per ring [default: one for each ray, as far as echoes suffice]
     #[arg(long, value_name = "N")]
     sweep_nodes: Option<u32>,
     /// Of a sweep: how much a wall is expected to bend within its own size [default: 0.125]
@@ -55,13 +55,13 @@ pub(super) struct SettingsArguments {
     /// Of a sweep: keep the parts that no echo supports
     #[arg(long)]
     keep_unsupported: bool,
-    /// Of a sweep: estimate a small error of every pose along with the wall and take it off
+    /// Of a sweep: estimate a small error of every pose along with the wall and correct it
     #[arg(long)]
     correct_poses: bool,
     /// Of a sweep: estimate how much older poses are than contours, and correct it where significant
     #[arg(long)]
     estimate_offset: bool,
-    /// Of a sweep, for a vessel that moves: let an echo's weight halve in so many seconds of newer ones about it
+    /// Of a sweep, for a vessel that moves: halve an echo's weight per this many seconds of newer echoes around it
     /// [default: all count alike]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     half_life: Option<f64>,
@@ -115,7 +115,7 @@ impl SettingsArguments {
         Ok(settings)
     }
 
-    /// Refuses flags that the method does not look at.
+    /// Refuses flags that the method does not use.
     fn check_method(&self, method: Method) -> Result<()> {
         let of_cylinders = [
             ("nodes", self.nodes.is_some()),
@@ -147,7 +147,7 @@ impl SettingsArguments {
     }
 }
 
-/// So many numbers with commas between them.
+/// N numbers separated by commas.
 fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     let parts = text
         .split(',')

@@ -58,7 +58,7 @@ pub(super) struct Arguments {
 
 /// The commonest settings as flags; a settings file has them all.
 #[derive(clap::Args)]
-#[command(next_help_heading = "SimulationSettings")]
+#[command(next_help_heading = "Settings")]
 struct SettingsArguments {
     /// Read settings from a TOML file; flags override it
     #[arg(long, value_name = "FILE")]

@@ -13,7 +13,8 @@ use std::path::PathBuf;
 /// Find the resolution and the number of iterations that suit a recording
 ///
 /// Every combination is reconstructed and measured against the truth: error against time, the Pareto front, and the
-/// best setting within a time budget. With -o, results are saved row by row, and an interrupted study continues where it stopped.
+/// best setting within a time budget. With -o, results are saved row by row, and an interrupted study continues where
+/// it stopped.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh study recording/ --truth wall.vtp
@@ -35,7 +36,7 @@ pub(super) struct Arguments {
     /// Iterations of the fit
     #[arg(long, value_name = "COUNT,…", value_delimiter = ',', default_values_t = [1, 3, 10])]
     iterations: Vec<u32>,
-    /// Results, read first if they are there: .csv or .json
+    /// Results: .csv or .json; an existing file is read first
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Error over time as a plot: .svg
@@ -50,7 +51,7 @@ pub(super) struct Arguments {
     /// All other settings, from a TOML file
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Where it is computed; all combinations in one place, so that their times compare
+    /// Backend, the same for all combinations so that their times are comparable
     #[arg(long, value_enum, default_value = "cpu")]
     backend: Backend,
     /// Print JSON instead of a table

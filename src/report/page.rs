@@ -1,4 +1,4 @@
-//! A page: one HTML file with its style, plots and pictures inside, which needs neither network nor scripts.
+//! An HTML page: one file that contains its style, plots and pictures and needs neither network nor scripts.
 
 use super::render::{Picture, Style, render};
 use crate::surface::Surface;
@@ -61,7 +61,7 @@ impl Page {
         self.push("p", text)
     }
 
-    /// Text as it is typed.
+    /// Preformatted text.
     pub fn listing(&mut self, text: &str) -> &mut Self {
         self.push("pre", text)
     }
@@ -86,7 +86,7 @@ impl Page {
         self
     }
 
-    /// Terms and what they mean.
+    /// Terms and their definitions.
     pub fn definitions<'a>(&mut self, terms: impl IntoIterator<Item = (&'a str, &'a str)>) -> &mut Self {
         self.body += "<dl>\n";
         for (term, meaning) in terms {
@@ -96,7 +96,7 @@ impl Page {
         self
     }
 
-    /// A plot: SVG text, and what it shows.
+    /// A plot as SVG text, with a caption.
     pub fn plot(&mut self, svg: &str, caption: &str) -> &mut Self {
         // Narrower where the page is, but never larger than it was drawn.
         let width = svg.split('"').nth(1).unwrap_or_default();

@@ -11,11 +11,11 @@ use std::ops::Range;
 /// One set of points of a plot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Line {
-    /// What the legend says.
+    /// Its name in the legend.
     pub name: String,
     /// Points (x, y), in the order in which they are joined; those that are not finite are left out.
     pub points: Vec<[f64; 2]>,
-    /// How they are shown.
+    /// The marks.
     pub mark: Mark,
 }
 
@@ -33,13 +33,13 @@ pub enum Mark {
 /// One group of numbers, shown as the outline of their density.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Violin {
-    /// What is written below it; `\n` starts a new line.
+    /// The text below it; `\n` starts a new line.
     pub name: String,
     /// The numbers; those that are not finite are left out.
     pub values: Vec<f64>,
 }
 
-/// How much room a plot has on its page.
+/// The width of a plot on its page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Room {
     /// The whole width.
@@ -102,7 +102,7 @@ pub fn lines(room: Room, x_label: &str, y_label: &str, lines: &[Line]) -> Result
     // Whole numbers are counts: no marks between them.
     let whole = all().all(|p| p.0.fract() == 0.0);
     let marks = if whole { max_marks.min((x.end - x.start) as usize + 1) } else { max_marks };
-    // A line through many points jumps about: dashes would hide that.
+    // Dashes would hide the course of a line through many points.
     let dense = lines.iter().any(|(_, points)| points.len() > 60);
     let dashes = |i: usize| if dense { DASHES[0] } else { DASHES[i % DASHES.len()] };
     svg(room, |root| {
@@ -238,7 +238,7 @@ fn axes<'a, 'b>(
     Ok(chart)
 }
 
-/// What each line is.
+/// The legend above the plot.
 fn legend<'a>(
     root: &Area,
     lines: impl Iterator<Item = &'a Line>,

@@ -182,7 +182,7 @@ fn a_reconstruction_fills_a_page_with_and_without_its_truth() {
         assert!(with.contains(&format!("<td>{:.4}</td>", evaluation.mesh_to_truth.mean_mm)));
         for page in [&with, &without] {
             assert!(is_self_contained(page) && page.contains("<h1>A &lt;stenosis&gt;</h1>"));
-            for part in ["Summary", "SimulatedVessel", "Coverage", "Noise", "Settings", "How to reproduce"] {
+            for part in ["Summary", "Vessel", "Coverage", "Noise", "Settings", "How to reproduce"] {
                 assert!(page.contains(&format!("<h2>{part}</h2>")), "{part}");
             }
             assert_eq!(page.contains("<h2>Convergence</h2>"), settings.method == Method::Cylinders);

@@ -122,7 +122,7 @@ fn rotation(q: DQuat) -> DMat3 {
     if (norm - 1.0).abs() <= UNIT_TOLERANCE { unit } else { unit * (norm * norm) }
 }
 
-/// A new folder appears whole. In a folder that is there, each of the three files is replaced as a whole.
+/// A new folder is created as a whole. In an existing folder each of the three files is replaced as a whole.
 pub(in crate::recording) fn write(recording: &Recording, folder: &Path) -> Result<()> {
     let failed = |source| Error::Write { path: folder.to_owned(), source };
     let parent = match folder.parent() {

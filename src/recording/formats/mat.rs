@@ -118,7 +118,7 @@ impl Variables<'_> {
         })
     }
 
-    /// One number per frame; a row does as well as a column.
+    /// One number per frame, as a row or a column.
     fn column(&mut self, name: &str, frames: usize) -> Result<Option<Vec<f64>>> {
         match self.optional(name)? {
             Some(a) if a.shape == [frames, 1] || a.shape == [1, frames] => Ok(Some(a.values)),

@@ -1,10 +1,9 @@
-//! MAT-files of level 5 (MATLAB versions 5 to 7): named arrays of real numbers, in and out.
+//! Reader and writer of MAT-files of level 5 (MATLAB versions 5 to 7) with named arrays of real numbers.
 //!
 //! Own code, because neither crate for it is safe on bad input: matrw 0.1.4 panics on damaged deflate streams
-//! (and refuses SciPy's header), matfile 0.5.0 takes a file that is cut short for one with fewer variables and
-//! prints to stdout. Layout: *MAT-File Format*, The
-//! MathWorks, chapter 1 ("MAT-File Level 5"). Memory stays in proportion to the file: an array takes room only
-//! as its bytes arrive, and deflate expands at most 1032 times.
+//! (and refuses SciPy's header), matfile 0.5.0 reads a truncated file as one with fewer variables and prints to stdout.
+//! Layout: *MAT-File Format*, The MathWorks, chapter 1 ("MAT-File Level 5"). Memory stays in proportion to the file: an
+//! array is allocated only as its bytes arrive, and deflate expands at most 1032 times.
 
 use crate::{Error, Result};
 use flate2::read::ZlibDecoder;
@@ -27,11 +26,11 @@ impl Array {
     }
 }
 
-/// What a name stands for.
+/// The value of a variable.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Variable {
     Real(Array),
-    /// Anything but a full array of real numbers; the words say what.
+    /// Anything but a full array of real numbers, described in words.
     Other(&'static str),
 }
 
@@ -44,7 +43,7 @@ const OPAQUE_CLASS: u8 = 17;
 const COMPLEX_FLAG: u32 = 0x0800;
 const LOGICAL_FLAG: u32 = 0x0200;
 
-/// Reads the variables with the names asked for, as far as the file has them.
+/// Reads the variables with the given names, as far as the file has them.
 ///
 /// # Errors
 /// Where the file cannot be read, is no MAT-file of level 5, or is damaged.
@@ -112,7 +111,7 @@ fn fault(found: impl Into<String>) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, found.into())
 }
 
-/// What stands before a variable's values.
+/// The header of a variable.
 struct Head {
     class: u8,
     flags: u32,
@@ -146,7 +145,7 @@ impl<R: Read> Source<R> {
     /// A data element: its type and its bytes, at most `limit` of them.
     fn element(&mut self, limit: usize) -> io::Result<(u32, Vec<u8>)> {
         let first = self.u32()?;
-        // Up to four bytes travel inside the tag; the upper half of its first word then holds their number.
+        // Up to four bytes can be stored inside the tag; the upper half of its first word then holds their number.
         let packed = (first >> 16) as usize;
         let (kind, size, room) = if packed > 0 {
             (first & 0xffff, packed, 4)
@@ -162,7 +161,7 @@ impl<R: Read> Source<R> {
         if bytes.len() < size {
             return Err(fault(format!("{} of {size} bytes", bytes.len())));
         }
-        // The last element's padding may be missing; whatever needs the next one notices.
+        // The last element's padding may be missing; reading a next element would fail.
         io::copy(&mut (&mut self.bytes).take((room - size) as u64), &mut io::sink())?;
         Ok((kind, bytes))
     }
@@ -227,7 +226,7 @@ impl<R: Read> Source<R> {
     }
 }
 
-/// Numbers of any stored type; writers shrink doubles that are whole to the smallest integer type.
+/// Numbers of any stored type: writers store whole doubles as the smallest integer type.
 fn numbers(kind: u32, order: ByteOrder, bytes: &[u8]) -> Option<Vec<f64>> {
     macro_rules! convert {
         ($type:ty) => {{

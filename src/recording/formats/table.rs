@@ -19,12 +19,12 @@ pub(crate) struct Table {
 
 /// One line of a table.
 pub(crate) struct TableRow {
-    /// Where the reader stood before it: blank lines and half a line end may lie between.
+    /// Position of the reader before it; blank lines and half a line end may lie between.
     offset: u64,
     fields: csv::StringRecord,
 }
 
-/// A column: where it is and what messages call it.
+/// A column: its index, and its name in messages.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Column<'a> {
     pub index: usize,
@@ -131,7 +131,7 @@ impl Table {
         self.optional_number(row, column)?.ok_or_else(|| self.fault(row, column, "nothing", "a number"))
     }
 
-    /// A number that counts: whole and not negative.
+    /// A whole number that is not negative.
     pub fn count(&self, row: &TableRow, column: Column<'_>) -> Result<u64> {
         let number = self.number(row, column)?;
         if number.fract() == 0.0 && (0.0..9e15).contains(&number) {

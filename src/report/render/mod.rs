@@ -4,8 +4,8 @@
 //! viridis, which is perceptually uniform and safe for colour-blind eyes, with a colour bar. The inside of the wall
 //! is darker than its outside; nodes without a value are grey.
 //!
-//! A z-buffer is all that an opaque triangle mesh needs, so it is here; colours, glyphs and PNG come from
-//! `colorous`, `ab_glyph` with the DejaVu fonts, and `png`.
+//! The z-buffer is our own, because an opaque triangle mesh needs no more; colours, glyphs and PNG come from `colorous`,
+//! `ab_glyph` with the DejaVu fonts, and `png`.
 
 mod canvas;
 mod scale;
@@ -18,7 +18,7 @@ pub(super) use scale::label;
 use scale::{round_down, ticks};
 use std::path::Path;
 
-/// From where a mesh is looked at.
+/// Direction of view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum View {
@@ -33,7 +33,7 @@ pub enum View {
     Three,
 }
 
-/// How a mesh is shown.
+/// Style of a picture of a mesh.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Style {
     /// The array to show in colours; the bare mesh where absent.
@@ -41,7 +41,7 @@ pub struct Style {
     /// The values at both ends of the colour bar. Where absent: all of them, but from 0 where none is negative, and
     /// at most up to 10 times their mean, as the thesis caps its maps.
     pub range: Option<[f64; 2]>,
-    /// From where.
+    /// Direction of view.
     pub view: View,
     /// Width and height, 320 to 4096 pixels each.
     pub size: [u32; 2],

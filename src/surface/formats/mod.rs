@@ -1,7 +1,7 @@
-//! The files that hold surfaces, one module per format.
+//! File formats of surfaces, one module per format.
 //!
-//! VTP rests on `quick-xml`, `flate2` and `base64`. PLY, STL and OBJ are read here: what bad input may do is then ours to
-//! bound, as no buffer is ever larger than the file gives cause for.
+//! VTP uses `quick-xml`, `flate2` and `base64`. PLY, STL and OBJ are parsed here, which bounds the effects of bad input: no
+//! buffer is larger than the size of the file justifies.
 
 pub(super) mod obj;
 pub(super) mod ply;

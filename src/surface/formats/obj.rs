@@ -6,7 +6,7 @@ use glam::DVec3;
 use std::io::Write;
 use std::path::Path;
 
-/// Takes `v` and `f` lines, texture and normal indices apart, and passes over all others.
+/// Reads `v` and `f` lines without texture and normal indices, and skips all others.
 pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
     let text = std::str::from_utf8(bytes).map_err(|e| {
         Error::input(path, "text", format!("bytes that are not UTF-8 at {}", e.valid_up_to()), "text")

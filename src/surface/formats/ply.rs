@@ -64,7 +64,7 @@ struct Element {
 }
 
 impl Element {
-    /// The fewest bytes that its rows can take: what the file must at least hold.
+    /// The smallest size of its rows in bytes, which the file must hold.
     fn min_bytes(&self, encoding: Encoding) -> usize {
         let row: usize = match encoding {
             Encoding::Text => 2 * self.properties.len(),
@@ -239,7 +239,7 @@ fn read_vertices(body: &mut Body, element: &Element, surface: &mut Surface) -> R
     Ok(())
 }
 
-/// Takes the polygons of an element `face` and passes over everything else.
+/// Reads the polygons of an element `face` and skips everything else.
 fn read_rows(body: &mut Body, element: &Element, polygons: &mut Vec<Vec<i64>>) -> Result<()> {
     if element.properties.is_empty() {
         return Ok(());

@@ -30,7 +30,7 @@ pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
     weld(path, &corners)
 }
 
-/// The corners of a binary file; none where its length is not what its header says.
+/// The corners of a binary file; `None` where its length does not agree with its header.
 fn binary_corners(bytes: &[u8]) -> Option<Vec<[f32; 3]>> {
     let (head, records) = bytes.split_at_checked(HEADER)?;
     let count = u32::from_le_bytes(head.get(80..)?.try_into().ok()?);

@@ -1,4 +1,4 @@
-//! VTK XML PolyData, what ParaView and VMTK open: written as inline base64, read in all of VTK's own encodings (text,
+//! VTK XML PolyData, which ParaView and VMTK open: written as inline base64, read in all of VTK's own encodings (text,
 //! base64, appended base64 or raw; plain or zlib; 32- or 64-bit block headers; either byte order).
 //!
 //! Layout: <https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html>
@@ -13,7 +13,7 @@ use quick_xml::events::{BytesStart, Event};
 use std::io::{Read as _, Write};
 use std::path::Path;
 
-/// Deflate never gains more than this, so a block that claims to is wrong, and no block can ask for much memory.
+/// Deflate cannot expand by more than this: a block that claims more is wrong, and no block can demand much memory.
 const LARGEST_DEFLATE_RATIO: u64 = 1032;
 
 /// A `DataArray` as the file holds it.
