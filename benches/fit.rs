@@ -62,8 +62,8 @@ fn peer(case: &Case) -> Option<[f64; 2]> {
 fn against_peer(case: &Case, rounds: usize) {
     let (section, settings) = (case.section(1), case.settings());
     let engine = CpuEngine::<f32>::new();
-    let fit = || engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
-    let reference = CpuEngine::<f64>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
+    let fit = || engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
+    let reference = CpuEngine::<f64>::new().fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
     let parity = Parity::check(["reference", "cpu"], &reference, &fit()).unwrap();
     let (mut ours, mut theirs, mut ratios) = (Vec::new(), Vec::new(), Vec::new());
     for _ in 0..rounds {
@@ -97,10 +97,11 @@ fn whole_recording(rounds: usize) {
     let frames = merged_frames(recording.frames.len(), &settings);
     let fit = || {
         let track = Track::of(&recording, &settings).unwrap();
-        CpuEngine::<f32>::new().fit(&FitRequest::new(&track, &frames, &settings)).unwrap()
+        CpuEngine::<f32>::new().fit(&FitRequest::new(&track, &frames, &settings)).unwrap().cylinders
     };
     let track = Track::of(&recording, &settings).unwrap();
-    let reference = CpuEngine::<f64>::new().fit(&FitRequest::new(&track, &frames, &settings)).unwrap();
+    let reference =
+        CpuEngine::<f64>::new().fit(&FitRequest::new(&track, &frames, &settings)).unwrap().cylinders;
     for (ours, truth) in fit().iter().zip(&reference) {
         Parity::check(["reference", "cpu"], &truth.tube, &ours.tube).unwrap();
     }

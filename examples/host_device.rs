@@ -99,7 +99,7 @@ pub fn run(adapter: Option<&str>) -> Result<Compared, Box<dyn Error>> {
     let found: Vec<f32> = bytemuck::pod_collect_to_vec(&readback.slice(..).get_mapped_range()?);
 
     // 6. The CPU engine computes the same passes in the same f32.
-    let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings)?;
+    let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings)?.tube;
     let difference = |(a, b): (&f32, &f64)| (f64::from(*a) - b).abs();
     Ok(Compared {
         adapter: adapter.get_info().name,

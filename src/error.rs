@@ -39,7 +39,7 @@ pub enum Error {
     #[error("{}: {}{field}: found {found}, expected {expected}", path.display(), frame_prefix(*frame))]
     #[non_exhaustive]
     Input {
-        /// The file, or a name for data that came from memory.
+        /// The file.
         path: PathBuf,
         /// The frame (0-based), where one is to blame.
         frame: Option<usize>,
@@ -79,6 +79,17 @@ pub enum Error {
         /// The frame (0-based).
         frame: usize,
         /// The variable, column or quantity.
+        field: &'static str,
+        /// What was there.
+        found: String,
+        /// What should have been there.
+        expected: String,
+    },
+    /// The points of a section in memory cannot be used.
+    #[error("section: {field}: found {found}, expected {expected}")]
+    #[non_exhaustive]
+    Section {
+        /// The array or quantity.
         field: &'static str,
         /// What was there.
         found: String,

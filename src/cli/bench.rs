@@ -113,7 +113,6 @@ impl Arguments {
 
     #[cfg(feature = "gpu")]
     fn device(&self, output: &mut Output) -> Result<Option<crate::study::bench::device::Device>> {
-        use crate::cylinders::fit::Engine;
         use crate::gpu::adapters;
         if self.no_device || (self.adapter.is_none() && adapters().is_empty()) {
             return Ok(None);

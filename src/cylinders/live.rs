@@ -60,7 +60,7 @@ impl LiveCylinders {
         if !count.is_multiple_of(self.settings.every as usize) {
             return Ok(Step::default());
         }
-        let fitted = self.engine.fit(&FitRequest::new(&self.track, &[count - 1], &self.settings))?;
+        let fitted = self.engine.fit(&FitRequest::new(&self.track, &[count - 1], &self.settings))?.cylinders;
         let mut step = Step::default();
         let mut first = self.vessel.rings.len();
         for cylinder in &fitted {

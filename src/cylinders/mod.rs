@@ -15,7 +15,8 @@ mod tube;
 #[cfg(feature = "gpu")]
 pub use fit::gpu::GpuEngine;
 pub use fit::{
-    AutoEngine, CpuEngine, DeformedTube, Engine, FitRequest, FittedCylinder, engine, merged_frames,
+    AutoEngine, CpuEngine, DeformedTube, Engine, Fit, FitRequest, FittedCylinder, SectionFit, engine,
+    merged_frames,
 };
 pub use passes::Section;
 pub use track::{NearFrame, PlacedCylinder, Track};
@@ -138,8 +139,8 @@ impl CylinderReconstruction {
         let start = Instant::now();
         let ready = AtomicUsize::new(0);
         let tell = |newly| progress(ready.fetch_add(newly, Ordering::Relaxed) + newly, frames.len());
-        let cylinders =
-            engine.fit(&FitRequest { track: &track, frames: &frames, settings, history, progress: &tell })?;
+        let request = FitRequest { track: &track, frames: &frames, settings, history, progress: &tell };
+        let Fit { cylinders, engine } = engine.fit(&request)?;
         let fit_seconds = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
@@ -158,7 +159,7 @@ impl CylinderReconstruction {
         let sum = |of: &dyn Fn(&FittedCylinder) -> u64| cylinders.iter().map(of).sum::<u64>();
         let rejected = sum(&|c| c.tube.rejected);
         let report = CylindersReport {
-            engine: engine.describe(),
+            engine,
             threads: rayon::current_num_threads(),
             frames: track.len(),
             estimated_cylinders: track.estimated_count(),

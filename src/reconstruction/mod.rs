@@ -89,7 +89,10 @@ impl<'a> Reconstructor<'a> {
                     &tell,
                 )?)
             }
-            Method::Sweep => Vessel::Sweep(Sweep::of(recording, &self.settings)?),
+            Method::Sweep => {
+                let tell = |stage, done, total| (self.on_progress)(Progress { stage, done, total });
+                Vessel::Sweep(Sweep::run(recording, &self.settings, &tell)?)
+            }
         };
         Ok(Lumen { settings: self.settings.clone(), vessel })
     }

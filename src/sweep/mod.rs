@@ -35,6 +35,12 @@ use report::{FittedWall, timed};
 use wall::engine;
 use wall::fit::Wall;
 
+/// Told of the stage that begins, the number of stages done, and their number in all.
+pub type StageProgress<'a> = dyn Fn(&'static str, usize, usize) + 'a;
+
+/// The stages of a sweep: axis, place, fit, tracker, support.
+const STAGES: usize = 5;
+
 /// A vessel swept along its centreline.
 ///
 /// Node j of ring k has index `k·nodes + j` and lies at `θ = 2πj/nodes` of the axis's frame k.
@@ -58,7 +64,16 @@ impl Sweep {
     /// # Errors
     /// Where settings are invalid, a frame cannot be used, or the contours cover no length of a vessel.
     pub fn of(recording: &Recording, settings: &Settings) -> Result<Self> {
-        Self::fitted(recording, settings, |grid, echoes| engine::fit(grid, echoes, settings))
+        Self::run(recording, settings, &|_, _, _| ())
+    }
+
+    /// As [`Sweep::of`], and calls `progress` with the stage that begins, the number of stages done, and their number in
+    /// all.
+    ///
+    /// # Errors
+    /// As [`Sweep::of`].
+    pub fn run(recording: &Recording, settings: &Settings, progress: &StageProgress) -> Result<Self> {
+        Self::fitted(recording, settings, progress, |grid, echoes| engine::fit(grid, echoes, settings))
     }
 
     /// As [`Sweep::of`], with the wall fitted by an engine on a device, whatever the settings' backend.
@@ -67,7 +82,7 @@ impl Sweep {
     /// As [`Sweep::of`], and [`Error::Gpu`](crate::Error::Gpu) where the device fails.
     #[cfg(feature = "gpu")]
     pub fn on_device(recording: &Recording, settings: &Settings, device: &GpuWallEngine) -> Result<Self> {
-        Self::fitted(recording, settings, |grid, echoes| {
+        Self::fitted(recording, settings, &|_, _, _| (), |grid, echoes| {
             engine::fit_on_device(grid, echoes, settings, device).map(|wall| (wall, device.describe()))
         })
     }
@@ -75,17 +90,23 @@ impl Sweep {
     fn fitted(
         recording: &Recording,
         settings: &Settings,
+        progress: &StageProgress,
         fit: impl FnOnce(&WallGrid, &mut [Echo]) -> Result<(Wall, EngineDescription)>,
     ) -> Result<Self> {
         settings.validate()?;
         recording.check()?;
         let mut seconds = SweepTimings::default();
+        progress("finding the axis", 0, STAGES);
         let prepared = timed(&mut seconds.axis, || Prepared::of(recording, settings))?;
+        progress("placing the echoes", 1, STAGES);
         let mut echoes = timed(&mut seconds.place, || prepared.echoes(&prepared.sensors()));
+        progress("fitting the wall", 2, STAGES);
         let (mut wall, engine) = timed(&mut seconds.fit, || fit(&prepared.grid, &mut echoes))?;
+        progress("correcting the poses", 3, STAGES);
         let tracker = timed(&mut seconds.tracker, || {
             Tracker::correct(&prepared, &settings.sweep, &mut echoes, &mut wall)
         })?;
+        progress("estimating the standard errors", 4, STAGES);
         let tangential_noise_mm = prepared.tangential_noise_mm().min(wall.noise_mm);
         for radius in &mut wall.radii_mm {
             *radius -= outward_bias_mm(*radius, tangential_noise_mm);
@@ -94,6 +115,7 @@ impl Sweep {
         let fitted = FittedWall { wall, echoes, engine, tracker, tangential_noise_mm };
         let report = SweepReport::of(&prepared, &fitted, &support, seconds);
         let Prepared { axis, grid, .. } = prepared;
+        progress("done", STAGES, STAGES);
         Ok(Self { axis, nodes: grid.nodes, radii_mm: fitted.wall.radii_mm, support, report })
     }
 

@@ -25,13 +25,13 @@ fn the_device_may_take_over_after_any_stage() {
         let settings = Settings::default().with_nodes(24).with_levels(8).with_statistic(statistic);
         let track = Track::of(&recording, &settings).unwrap();
         let request = FitRequest { history: true, ..FitRequest::new(&track, &[9, 19, 29, 39], &settings) };
-        let expected = device.engine.fit(&request).unwrap();
+        let expected = device.engine.fit(&request).unwrap().cylinders;
         let section = wall(5_000, 127);
-        let expected_tube = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+        let expected_tube = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
         for stages in STAGES {
             other.engine = other.engine.with_cpu_stages(stages);
-            assert_all_agree(device, &other.engine.fit(&request).unwrap(), &expected);
-            let tube = other.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+            assert_all_agree(device, &other.engine.fit(&request).unwrap().cylinders, &expected);
+            let tube = other.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
             assert_agree(device, &tube, &expected_tube);
         }
     }
@@ -44,9 +44,11 @@ fn the_cpu_s_stages_do_take_part() {
     let section = wall(2_000, 131);
     device.engine = device.engine.with_cpu_stages(CpuStages::Iterations(1));
     // With every iteration on the CPU a device that has no iteration to do gives the CPU's, to the bit.
-    let tube = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
-    let cpu =
-        lumenmesh::cylinders::CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
+    let tube = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
+    let cpu = lumenmesh::cylinders::CpuEngine::<f32>::new()
+        .fit_section(&section, RADIUS_MM, &settings)
+        .unwrap()
+        .tube;
     assert_eq!(tube.radii_mm, cpu.radii_mm);
     assert_eq!(tube.travel_mm, cpu.travel_mm);
     if device.exact {

@@ -26,7 +26,7 @@ fn a_destroyed_device_fails_every_call() {
     let Some(device) = open() else { return };
     let settings = Settings::default();
     let section = wall(1_000, 137);
-    device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+    device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
     let workspace = device.engine.prepare(1_000, RADIUS_MM, &settings).unwrap();
     device.engine.device().destroy();
     in_time(move || {
@@ -139,25 +139,22 @@ fn auto_falls_back_to_the_cpu_and_says_why() {
     let section = wall(2_000, 151);
     let engine = AutoEngine::default();
     let settings = large().with_adapter(Some("no such adapter".into()));
-    let tube = engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
-    let description = engine.describe();
-    assert_eq!(description.name, "cpu");
-    let why = description.why.unwrap();
+    let fit = engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+    assert_eq!(fit.engine.name, "cpu");
+    let why = fit.engine.why.unwrap();
     assert!(why.contains("no such adapter"), "{why}");
-    let cpu = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
-    assert_eq!(tube.radii_mm, cpu.radii_mm);
+    let cpu = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
+    assert_eq!(fit.tube.radii_mm, cpu.radii_mm);
     // The next call's adapter is looked for anew.
     let settings = large().with_adapter(Some("nor this one".into()));
-    engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
-    let why = engine.describe().why.unwrap();
+    let why = engine.fit_section(&section, RADIUS_MM, &settings).unwrap().engine.why.unwrap();
     assert!(why.contains("nor this one"), "{why}");
 }
 
 #[test]
 fn auto_stays_on_the_cpu_where_a_device_is_not_worth_it() {
     let engine = AutoEngine::default();
-    engine.fit_section(&wall(2_000, 151), RADIUS_MM, &Settings::default()).unwrap();
-    let description = engine.describe();
+    let description = engine.fit_section(&wall(2_000, 151), RADIUS_MM, &Settings::default()).unwrap().engine;
     assert_eq!(description.name, "cpu");
     assert!(description.why.unwrap().contains("less than starting a device takes"));
 }

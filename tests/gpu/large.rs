@@ -28,14 +28,14 @@ fn ten_million_points_and_four_million_faces_within_8_gib() {
     let section = wall(10_000_000, 167);
     device.engine.warm_up().unwrap();
     let start = Instant::now();
-    let found = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+    let found = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
     println!("device: {:.2} s", start.elapsed().as_secs_f64());
     if let Some(bytes) = peak_memory() {
         println!("peak memory: {} MiB", bytes >> 20);
         assert!(bytes <= 8 << 30);
     }
     let start = Instant::now();
-    let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
+    let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
     println!("CPU: {:.2} s", start.elapsed().as_secs_f64());
     assert_agree(device, &found, &expected);
 }
@@ -48,8 +48,8 @@ fn a_face_with_more_points_than_a_driver_s_loops_allow_is_never_a_wrong_result()
     let section = wall(10_000_000, 168);
     match device.engine.fit_section(&section, RADIUS_MM, &settings) {
         Ok(found) => {
-            let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap();
-            assert_agree(device, &found, &expected);
+            let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
+            assert_agree(device, &found.tube, &expected);
         }
         Err(Error::Gpu(GpuError::Unfinished { finished, expected, .. })) => {
             assert!(finished < expected && expected == 3, "{finished} of {expected}");

@@ -29,10 +29,13 @@ fn permuted_points_give_the_same_bits() {
                     .with_outliers(outliers)
                     .with_statistic(statistic);
                 let section = wall(points, 53);
-                let first = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+                let first = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
                 for seed in 0..2 {
-                    let again =
-                        device.engine.fit_section(&permuted(&section, seed), RADIUS_MM, &settings).unwrap();
+                    let again = device
+                        .engine
+                        .fit_section(&permuted(&section, seed), RADIUS_MM, &settings)
+                        .unwrap()
+                        .tube;
                     assert_same(&again, &first);
                 }
             }
@@ -45,12 +48,15 @@ fn threads_can_share_an_engine() {
     let Some(device) = device() else { return };
     let settings = Settings::default();
     let section = wall(300, 163);
-    let alone = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+    let alone = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
     std::thread::scope(|scope| {
         for _ in 0..4 {
             scope.spawn(|| {
                 for _ in 0..25 {
-                    assert_same(&device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap(), &alone);
+                    assert_same(
+                        &device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube,
+                        &alone,
+                    );
                 }
             });
         }

@@ -59,7 +59,7 @@ fn a_workspace_can_be_recorded_again_for_new_points() {
         write(device, &workspace, &section);
         let [found] =
             radii(device, [&workspace], |encoder| device.engine.record(&workspace, encoder).unwrap());
-        let expected = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
+        let expected = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
         assert_eq!(found, expected.radii_mm);
     }
 }
@@ -78,8 +78,9 @@ fn an_encoder_can_hold_several_workspaces() {
         device.engine.record(&first, encoder).unwrap();
         device.engine.record(&second, encoder).unwrap();
     });
-    let expected = [(&a, &coarse), (&b, &fine)]
-        .map(|(section, settings)| device.engine.fit_section(section, RADIUS_MM, settings).unwrap().radii_mm);
+    let expected = [(&a, &coarse), (&b, &fine)].map(|(section, settings)| {
+        device.engine.fit_section(section, RADIUS_MM, settings).unwrap().tube.radii_mm
+    });
     assert_eq!(found, expected);
 }
 
@@ -113,7 +114,7 @@ fn passes_are_timed_one_by_one_in_their_order() {
     let [found] = radii(device, [&workspace], |encoder| {
         device.engine.record_timed(&workspace, encoder, &mut timer).unwrap();
     });
-    assert_eq!(found, device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().radii_mm);
+    assert_eq!(found, device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube.radii_mm);
     // The points of a single tube need no projection.
     let names: Vec<&str> =
         PASSES.iter().map(|pass| pass.shader.name).filter(|name| *name != "project").collect();
@@ -149,10 +150,10 @@ fn a_device_with_little_room_takes_a_job_in_batches() {
         };
         let request =
             FitRequest { history: true, progress: &count, ..FitRequest::new(&track, &frames, &settings) };
-        let found = little.fit(&request).unwrap();
+        let found = little.fit(&request).unwrap().cylinders;
         let batches = batches.load(Ordering::Relaxed);
         assert!((2..=frames.len()).contains(&batches), "{batches} batches of {} cylinders", frames.len());
-        let expected = device.engine.fit(&FitRequest { progress: &|_| (), ..request }).unwrap();
+        let expected = device.engine.fit(&FitRequest { progress: &|_| (), ..request }).unwrap().cylinders;
         for (found, expected) in found.iter().zip(&expected) {
             assert_eq!(found.frame, expected.frame);
             assert_same(&found.tube, &expected.tube);

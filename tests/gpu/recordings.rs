@@ -40,10 +40,12 @@ fn a_recording_fits_as_on_the_cpu_with_every_rule_and_grid() {
                     progress: &count,
                     ..FitRequest::new(&track, &frames, &settings)
                 };
-                let found = device.engine.fit(&request).unwrap();
+                let found = device.engine.fit(&request).unwrap().cylinders;
                 assert_eq!(ready.load(Ordering::Relaxed), frames.len());
-                let expected =
-                    CpuEngine::<f32>::new().fit(&FitRequest { progress: &|_| (), ..request }).unwrap();
+                let expected = CpuEngine::<f32>::new()
+                    .fit(&FitRequest { progress: &|_| (), ..request })
+                    .unwrap()
+                    .cylinders;
                 assert_all_agree(device, &found, &expected);
             }
         }
@@ -78,8 +80,8 @@ fn golden_cylinders_come_out_to_the_precision_of_f32() {
         let settings = Settings::default().with_nodes(nodes).with_levels(levels).with_statistic(statistic);
         let track = Track::of(&Recording::read(&recording).unwrap(), &settings).unwrap();
         let request = FitRequest { history: true, ..FitRequest::new(&track, &frames, &settings) };
-        let found = device.engine.fit(&request).unwrap();
-        assert_all_agree(device, &found, &CpuEngine::<f32>::new().fit(&request).unwrap());
+        let found = device.engine.fit(&request).unwrap().cylinders;
+        assert_all_agree(device, &found, &CpuEngine::<f32>::new().fit(&request).unwrap().cylinders);
 
         let mut differences: Vec<f64> = Vec::new();
         for cylinder in &found {
@@ -117,7 +119,7 @@ fn the_fitting_error_is_the_cpu_s() {
         let request = FitRequest::new(&track, &frames, &settings);
         let truth = Truth::new(Surface::read(&truth).unwrap()).unwrap();
         let [found, expected] = [&device.engine as &dyn Engine, &CpuEngine::<f32>::new()].map(|engine| {
-            let vessel = MergedVessel::of(&engine.fit(&request).unwrap(), settings.merge);
+            let vessel = MergedVessel::of(&engine.fit(&request).unwrap().cylinders, settings.merge);
             evaluate(&vessel.surface(), &truth).unwrap().mesh_to_truth.mean_mm
         });
         println!("{name}: fitting error {found:.6} mm on the device, {expected:.6} mm on the CPU");
@@ -131,8 +133,8 @@ fn a_second_run_gives_the_same_bits() {
     let settings = Settings::default().with_nodes(24).with_levels(8);
     let track = Track::of(&recording(40, 500, 109), &settings).unwrap();
     let request = FitRequest::new(&track, &[9, 19, 29, 39], &settings);
-    let first = device.engine.fit(&request).unwrap();
-    for (a, b) in device.engine.fit(&request).unwrap().iter().zip(&first) {
+    let first = device.engine.fit(&request).unwrap().cylinders;
+    for (a, b) in device.engine.fit(&request).unwrap().cylinders.iter().zip(&first) {
         assert_same(&a.tube, &b.tube);
     }
 }

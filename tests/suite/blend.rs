@@ -235,7 +235,8 @@ fn blending_is_nearer_to_the_truth_than_stitching() {
         let settings = Settings::default();
         let track = Track::of(&simulation.recording, &settings).unwrap();
         let frames = merged_frames(track.len(), &settings);
-        let cylinders = CpuEngine::<f32>::new().fit(&FitRequest::new(&track, &frames, &settings)).unwrap();
+        let cylinders =
+            CpuEngine::<f32>::new().fit(&FitRequest::new(&track, &frames, &settings)).unwrap().cylinders;
         let [stitched, blended] = [Merge::Stitch, Merge::Blend].map(|merge| {
             let surface = MergedVessel::of(&cylinders, merge).surface();
             surface.check().unwrap();

@@ -54,7 +54,7 @@ struct Case {
 impl Case {
     fn fit<T: Scalar>(&self) -> Radii {
         let job = FitRequest { history: true, ..FitRequest::new(&self.track, &self.frames, &self.settings) };
-        radii(&CpuEngine::<T>::new().fit(&job).unwrap())
+        radii(&CpuEngine::<T>::new().fit(&job).unwrap().cylinders)
     }
 }
 

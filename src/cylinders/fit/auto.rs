@@ -1,11 +1,13 @@
-use super::{CpuEngine, DeformedTube, Engine, FitRequest, FittedCylinder};
+use super::sealed::Sealed;
+use super::{CpuEngine, Engine, Fit, FitRequest, SectionFit};
 use crate::Result;
 use crate::cylinders::passes::Section;
 #[cfg(feature = "gpu")]
 use crate::engine;
-use crate::engine::{EngineDescription, WORTH_A_DEVICE_S};
+use crate::engine::WORTH_A_DEVICE_S;
 use crate::settings::Settings;
 use std::sync::atomic::{AtomicUsize, Ordering};
+#[cfg(feature = "gpu")]
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Fits on the engine that is likely to be fastest for the amount of work, and on the CPU where a device fails.
@@ -15,7 +17,6 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// adapter is taken unless it is software, which computes the same on the same cores, only slower.
 #[derive(Default)]
 pub struct AutoEngine {
-    last: Mutex<EngineDescription>,
     #[cfg(feature = "gpu")]
     device: Mutex<Option<Device>>,
 }
@@ -42,18 +43,14 @@ impl AutoEngine {
         f64::from(settings.iterations + 1) * an_iteration / rayon::current_num_threads() as f64
     }
 
-    /// Runs work that would take the CPU `cpu_seconds` on the engine that suits it.
+    /// Runs work that would take the CPU `cpu_seconds` on the engine that suits it; returns with its result why there.
     fn run<R>(
         &self,
         cpu_seconds: f64,
         settings: &Settings,
         work: impl Fn(&dyn Engine) -> Result<R>,
-    ) -> Result<R> {
-        let cpu = CpuEngine::<f32>::new();
-        let on_cpu = |why: String| {
-            self.note(EngineDescription { why: Some(why), ..cpu.describe() });
-            work(&cpu)
-        };
+    ) -> Result<(R, String)> {
+        let on_cpu = |why: String| Ok((work(&CpuEngine::<f32>::new())?, why));
         if cpu_seconds < WORTH_A_DEVICE_S {
             let ms = (cpu_seconds * 1e3).ceil();
             return on_cpu(format!(
@@ -66,11 +63,7 @@ impl AutoEngine {
                 Err(why) => on_cpu(why),
                 Ok(gpu) => match work(&*gpu) {
                     Err(crate::Error::Gpu(failure)) => on_cpu(format!("the device failed: {failure}")),
-                    done => {
-                        let why = format!("the work is about {cpu_seconds:.1} s on the CPU");
-                        self.note(EngineDescription { why: Some(why), ..gpu.describe() });
-                        done
-                    }
+                    done => Ok((done?, format!("the work is about {cpu_seconds:.1} s on the CPU"))),
                 },
             }
         }
@@ -92,12 +85,9 @@ impl AutoEngine {
         *device = Some(Device { adapter: adapter.map(str::to_owned), engine: engine.clone() });
         engine
     }
-
-    fn note(&self, description: EngineDescription) {
-        *locked(&self.last) = description;
-    }
 }
 
+#[cfg(feature = "gpu")]
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -126,12 +116,10 @@ impl<'a> Tally<'a> {
     }
 }
 
-impl Engine for AutoEngine {
-    fn describe(&self) -> EngineDescription {
-        locked(&self.last).clone()
-    }
+impl Sealed for AutoEngine {}
 
-    fn fit(&self, request: &FitRequest) -> Result<Vec<FittedCylinder>> {
+impl Engine for AutoEngine {
+    fn fit(&self, request: &FitRequest) -> Result<Fit> {
         let mut points = 0;
         for &frame in request.frames {
             points += request
@@ -142,19 +130,19 @@ impl Engine for AutoEngine {
         }
         let seconds = Self::cpu_seconds(points, request.frames.len(), request.settings);
         let tally = Tally::new(request.progress);
-        self.run(seconds, request.settings, |engine| {
+        let (mut fit, why) = self.run(seconds, request.settings, |engine| {
             engine.fit(&FitRequest { progress: &tally.attempt(), ..*request })
-        })
+        })?;
+        fit.engine.why = Some(why);
+        Ok(fit)
     }
 
-    fn fit_section(
-        &self,
-        section: &Section<f32>,
-        radius_mm: f64,
-        settings: &Settings,
-    ) -> Result<DeformedTube> {
+    fn fit_section(&self, section: &Section<f32>, radius_mm: f64, settings: &Settings) -> Result<SectionFit> {
         let seconds = Self::cpu_seconds(section.len() as u64, 1, settings);
-        self.run(seconds, settings, |engine| engine.fit_section(section, radius_mm, settings))
+        let (mut fit, why) =
+            self.run(seconds, settings, |engine| engine.fit_section(section, radius_mm, settings))?;
+        fit.engine.why = Some(why);
+        Ok(fit)
     }
 }
 

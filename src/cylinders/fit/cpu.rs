@@ -1,7 +1,10 @@
 //! The fit on the CPU: f32 as the device computes it, or f64 as the reference.
 
 use super::groups::{Groups, group};
-use super::{DeformedTube, Engine, EngineDescription, FitRequest, FittedCylinder, check_section};
+use super::sealed::Sealed;
+use super::{
+    DeformedTube, Engine, EngineDescription, Fit, FitRequest, FittedCylinder, SectionFit, check_section,
+};
 use crate::Result;
 use crate::cylinders::passes::{
     Face, Filter, Section, TriangleStatistic, TubeGrid, distance, fill, measure_long, measure_short, support,
@@ -27,14 +30,19 @@ impl<T> CpuEngine<T> {
     }
 }
 
-impl<T: Scalar> Engine for CpuEngine<T> {
-    fn describe(&self) -> EngineDescription {
+impl<T: Scalar> CpuEngine<T> {
+    /// `reference` in f64, `cpu` in f32.
+    pub fn describe(&self) -> EngineDescription {
         let name = if size_of::<T>() == size_of::<f64>() { "reference" } else { "cpu" };
         EngineDescription { name: name.into(), ..EngineDescription::default() }
     }
+}
 
-    fn fit(&self, request: &FitRequest) -> Result<Vec<FittedCylinder>> {
-        request
+impl<T> Sealed for CpuEngine<T> {}
+
+impl<T: Scalar> Engine for CpuEngine<T> {
+    fn fit(&self, request: &FitRequest) -> Result<Fit> {
+        let cylinders = request
             .frames
             .par_iter()
             .map(|&frame| {
@@ -44,15 +52,11 @@ impl<T: Scalar> Engine for CpuEngine<T> {
                 (request.progress)(1);
                 Ok(FittedCylinder { frame, world_from_cylinder: cylinder.world_from_cylinder, tube })
             })
-            .collect()
+            .collect::<Result<_>>()?;
+        Ok(Fit { cylinders, engine: self.describe() })
     }
 
-    fn fit_section(
-        &self,
-        section: &Section<f32>,
-        radius_mm: f64,
-        settings: &Settings,
-    ) -> Result<DeformedTube> {
+    fn fit_section(&self, section: &Section<f32>, radius_mm: f64, settings: &Settings) -> Result<SectionFit> {
         settings.validate()?;
         check_section(section, radius_mm)?;
         let convert = |values: &[f32]| values.iter().map(|&x| T::from_f64(x.to_f64())).collect();
@@ -62,7 +66,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             z: convert(&section.z),
             gated: section.gated,
         };
-        Ok(deform(&section, radius_mm, settings, false))
+        Ok(SectionFit { tube: deform(&section, radius_mm, settings, false), engine: self.describe() })
     }
 }
 

@@ -24,7 +24,6 @@ use crate::settings::no_gpu_engine;
 use crate::settings::{Backend, Settings};
 use crate::{Error, Result};
 use glam::DVec3;
-use std::path::Path;
 
 /// The cylinders that an engine fits, and how.
 #[derive(Clone, Copy)]
@@ -72,9 +71,8 @@ pub fn engine(settings: &Settings) -> Result<Box<dyn Engine>> {
 
 /// Refuses points or a radius from outside that are not finite, or a radius that is not positive.
 fn check_section(section: &Section<f32>, radius_mm: f64) -> Result<()> {
-    let fail = |field: &str, found: String, expected: &str| {
-        Err(Error::input(Path::new("section"), field, found, expected))
-    };
+    let fail =
+        |field, found, expected: &str| Err(Error::Section { field, found, expected: expected.to_owned() });
     if !(radius_mm.is_finite() && radius_mm > 0.0) {
         return fail("radius_mm", radius_mm.to_string(), "more than 0 mm");
     }
@@ -90,28 +88,44 @@ fn check_section(section: &Section<f32>, radius_mm: f64) -> Result<()> {
     Ok(())
 }
 
-/// Fits cylinders.
-pub trait Engine: Send + Sync {
-    /// Its name as on the command line, its adapter where it has one, and, for an engine that chooses between
-    /// others, its last choice and the reason.
-    fn describe(&self) -> EngineDescription;
+mod sealed {
+    /// Only the engines of this crate implement [`Engine`](super::Engine), so that it may gain methods.
+    pub trait Sealed {}
+}
 
+/// Fits cylinders. The engines are [`CpuEngine`], [`AutoEngine`] and, in builds with the feature `gpu`, `GpuEngine`.
+pub trait Engine: sealed::Sealed + Send + Sync {
     /// Fits the cylinders of a request, in the order of its frames.
     ///
     /// # Errors
     /// Where a frame has no cylinder or no points in its section, and where the engine itself fails.
-    fn fit(&self, request: &FitRequest) -> Result<Vec<FittedCylinder>>;
+    fn fit(&self, request: &FitRequest) -> Result<Fit>;
 
     /// Fits one tube of that radius to points that already are in its coordinates and within its gate.
     ///
     /// # Errors
     /// Where a number is not finite or the radius not positive, and where the engine itself fails.
-    fn fit_section(
-        &self,
-        section: &Section<f32>,
-        radius_mm: f64,
-        settings: &Settings,
-    ) -> Result<DeformedTube>;
+    fn fit_section(&self, section: &Section<f32>, radius_mm: f64, settings: &Settings) -> Result<SectionFit>;
+}
+
+/// The cylinders of a request.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Fit {
+    /// The cylinders, in the order of the request's frames.
+    pub cylinders: Vec<FittedCylinder>,
+    /// The engine that fitted them, and why this one where it was chosen.
+    pub engine: EngineDescription,
+}
+
+/// The tube of a section.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct SectionFit {
+    /// The tube.
+    pub tube: DeformedTube,
+    /// The engine that fitted it, and why this one where it was chosen.
+    pub engine: EngineDescription,
 }
 
 /// A tube after its fit.

@@ -28,7 +28,7 @@ impl Device {
         let start = std::time::Instant::now();
         let engine = GpuEngine::new(adapter)?;
         let small = Section { r: vec![RADIUS_MM as f32], theta: vec![0.0], z: vec![0.0], gated: 0 };
-        engine.fit_section(&small, RADIUS_MM, &Settings::default())?;
+        engine.fit_section(&small, RADIUS_MM, &Settings::default())?.tube;
         let cold_start_s = start.elapsed().as_secs_f64();
         engine.warm_up()?;
         let mut device = Self { engine, copy_bytes_per_s: 0.0, cold_start_s };

@@ -51,23 +51,22 @@ pub struct Case {
 }
 
 impl FromStr for Case {
-    type Err = String;
+    type Err = Error;
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn from_str(text: &str) -> Result<Self> {
         let (size, pattern) = match text.split_once(':') {
             None => (text, PointPattern::Even),
             Some((size, "crowded")) => (size, PointPattern::Crowded),
             Some((size, "half")) => (size, PointPattern::Half),
-            Some((_, other)) => return Err(format!("found {other:?}, expected crowded or half")),
+            Some((_, other)) => return Err(Error::setting("case", other, "crowded or half after the colon")),
         };
         let parts: Vec<&str> = size.split('x').collect();
         let [nodes, levels, points] = parts[..] else {
-            return Err(format!("found {text:?}, expected NODESxLEVELSxPOINTS such as 12x5x1e4"));
+            return Err(Error::setting("case", text, "NODESxLEVELSxPOINTS, such as 12x5x1e4"));
         };
         let number = |part: &str| {
-            let value: f64 = part.parse().map_err(|_| format!("{part:?} is not a number"))?;
-            let whole = value.fract() == 0.0 && (1.0..=4e9).contains(&value);
-            whole.then_some(value).ok_or_else(|| format!("{part:?} is not a whole number from 1 to 4e9"))
+            let whole = part.parse().ok().filter(|x: &f64| x.fract() == 0.0 && (1.0..=4e9).contains(x));
+            whole.ok_or_else(|| Error::setting("case", part, "a whole number from 1 to 4e9"))
         };
         Ok(Self {
             nodes: number(nodes)? as u32,
@@ -286,12 +285,12 @@ pub fn run(
     settings.validate()?;
     let section = case.section(1);
     let cpu = CpuEngine::<f32>::new();
-    let fit = || cpu.fit_section(&section, RADIUS_MM, &settings);
+    let fit = || cpu.fit_section(&section, RADIUS_MM, &settings).map(|fit| fit.tube);
     let expected = fit()?;
     #[cfg(feature = "gpu")]
     let (parity, device) = match device {
         Some(device) => {
-            let found = device.engine.fit_section(&section, RADIUS_MM, &settings)?;
+            let found = device.engine.fit_section(&section, RADIUS_MM, &settings)?.tube;
             let parity = Parity::check(["cpu", "gpu"], &expected, &found)?;
             (parity, Some(device.time(&section, &settings, repeats)?))
         }
@@ -311,6 +310,6 @@ pub fn run(
 }
 
 fn against_reference(section: &Section<f32>, settings: &Settings, found: &DeformedTube) -> Result<Parity> {
-    let reference = CpuEngine::<f64>::new().fit_section(section, RADIUS_MM, settings)?;
+    let reference = CpuEngine::<f64>::new().fit_section(section, RADIUS_MM, settings)?.tube;
     Parity::check(["reference", "cpu"], &reference, found)
 }

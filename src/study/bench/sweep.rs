@@ -1,11 +1,11 @@
 //! The sweep's wall fit on the CPU and on a device.
 
 use super::{Parity, RADIUS_MM, Times};
-use crate::Result;
 use crate::geometry::Pose;
 use crate::recording::{Frame, Recording};
 use crate::settings::{Backend, Settings, SweepSettings};
 use crate::sweep::Sweep;
+use crate::{Error, Result};
 use glam::{DQuat, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use serde::Serialize;
@@ -28,19 +28,17 @@ pub struct SweepCase {
 }
 
 impl FromStr for SweepCase {
-    type Err = String;
+    type Err = Error;
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn from_str(text: &str) -> Result<Self> {
         let Some((nodes, echoes)) = text.split_once('x') else {
-            return Err(format!("found {text:?}, expected NODESxECHOES such as 512x1e6"));
+            return Err(Error::setting("case", text, "NODESxECHOES, such as 512x1e6"));
         };
         let number = |part: &str, range: std::ops::RangeInclusive<f64>| {
-            let value: f64 = part.parse().map_err(|_| format!("{part:?} is not a number"))?;
-            let whole = value.fract() == 0.0 && range.contains(&value);
-            let (low, high) = range.into_inner();
+            let whole = part.parse().ok().filter(|x: &f64| x.fract() == 0.0 && range.contains(x));
+            let (low, high) = (range.start(), range.end());
             whole
-                .then_some(value)
-                .ok_or_else(|| format!("{part:?} is no whole number from {low} to {high:e}"))
+                .ok_or_else(|| Error::setting("case", part, format!("a whole number from {low} to {high:e}")))
         };
         Ok(Self { nodes: number(nodes, 8.0..=8192.0)? as u32, echoes: number(echoes, 1e4..=1e9)? as usize })
     }

@@ -81,7 +81,7 @@ impl Convergence {
         let cosine = slope.atan().cos();
         let steps = (0..=iterations).map(|iterations| {
             let settings = Settings { iterations, ..settings.clone() };
-            let tube = CpuEngine::<f64>::new().fit_section(&section, primitive_radius_mm, &settings)?;
+            let tube = CpuEngine::<f64>::new().fit_section(&section, primitive_radius_mm, &settings)?.tube;
             let error_mm: Vec<f64> = tube
                 .radii_mm
                 .iter()

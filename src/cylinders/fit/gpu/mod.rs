@@ -13,7 +13,10 @@ pub use stages::CpuStages;
 pub use workspace::FitWorkspace;
 
 use super::cpu::residual_mm;
-use super::{DeformedTube, Engine, EngineDescription, FitRequest, FittedCylinder, check_section};
+use super::sealed::Sealed;
+use super::{
+    DeformedTube, Engine, EngineDescription, Fit, FitRequest, FittedCylinder, SectionFit, check_section,
+};
 use crate::Result;
 use crate::cylinders::passes::{DeviceCylinder, DevicePair, Section};
 use crate::cylinders::track::empty_section;
@@ -402,26 +405,26 @@ impl GpuEngine {
     }
 }
 
-impl Engine for GpuEngine {
-    fn describe(&self) -> EngineDescription {
+impl GpuEngine {
+    /// `gpu`, and its adapter unless the device is a host's.
+    pub fn describe(&self) -> EngineDescription {
         EngineDescription { name: "gpu".into(), adapter: self.runner.describe(), why: None }
     }
+}
 
-    fn fit(&self, request: &FitRequest) -> Result<Vec<FittedCylinder>> {
+impl Sealed for GpuEngine {}
+
+impl Engine for GpuEngine {
+    fn fit(&self, request: &FitRequest) -> Result<Fit> {
         let mut cylinders = Vec::with_capacity(request.frames.len());
         for batch in self.batches(request)? {
             cylinders.extend(self.fit_batch(request, &batch)?);
             (request.progress)(batch.members.len());
         }
-        Ok(cylinders)
+        Ok(Fit { cylinders, engine: self.describe() })
     }
 
-    fn fit_section(
-        &self,
-        section: &Section<f32>,
-        radius_mm: f64,
-        settings: &Settings,
-    ) -> Result<DeformedTube> {
+    fn fit_section(&self, section: &Section<f32>, radius_mm: f64, settings: &Settings) -> Result<SectionFit> {
         check_section(section, radius_mm)?;
         let count = u32::try_from(section.len()).map_err(|_| GpuError::TooLarge {
             name: "section".into(),
@@ -438,6 +441,6 @@ impl Engine for GpuEngine {
             return Err(GpuError::Lost { reason: "no result".into() }.into());
         };
         tube.gated = section.gated;
-        Ok(tube)
+        Ok(SectionFit { tube, engine: self.describe() })
     }
 }
