@@ -79,9 +79,9 @@ fn rest(frames: usize) {
     let duration_s = frames as f64 / 12.0;
     let moves =
         vec![Move::Advance { distance_mm: 30.0 }, Move::Bend { angle_deg: 20.0 }, Move::Rest { duration_s }];
-    let insertion = Insertion { moves, repeat: false, ..Insertion::default() };
+    let insertion = Insertion::default().with_moves(moves).with_repeat(false);
     let vessel = Phantom::from("cylinder".parse::<Shape>().unwrap()).vessel().unwrap();
-    let settings = simulate::SimulationSettings { insertion, ..simulate::SimulationSettings::default() };
+    let settings = simulate::SimulationSettings::default().with_insertion(insertion);
     let simulation = Simulation::run(vessel, &settings).unwrap();
     for method in [Method::Cylinders, Method::Sweep] {
         let settings = Settings::default().with_method(method);

@@ -197,12 +197,13 @@ fn input(source: &Source) -> Result<Input> {
             };
             let noise = match *noise_mm {
                 None => Noise::none(),
-                Some([contour_sd_mm, position_sd_mm]) => {
-                    Noise { contour_sd_mm, position_sd_mm, seed: *seed, ..Noise::default() }
-                }
+                Some([contour_sd_mm, position_sd_mm]) => Noise::default()
+                    .with_contour_sd_mm(contour_sd_mm)
+                    .with_position_sd_mm(position_sd_mm)
+                    .with_seed(*seed),
             };
             let settings =
-                simulate::SimulationSettings { insertion: way.insertion(), noise, ..Default::default() };
+                simulate::SimulationSettings::default().with_insertion(way.insertion()).with_noise(noise);
             let simulation = Simulation::run(vessel, &settings)?;
             Ok(Input {
                 recording: simulation.recording,
@@ -217,20 +218,16 @@ impl Way {
     fn insertion(&self) -> Insertion {
         match *self {
             Way::Thesis => Insertion::default(),
-            Way::Branch(branch, start_mm) => Insertion { branch, start_mm, ..Insertion::default() },
-            Way::Steady => Insertion { repeat: true, ..Insertion::steady() },
-            Way::ThereAndBack => Insertion {
-                start_mm: 20.0,
-                moves: vec![
-                    Move::Advance { distance_mm: 30.0 },
-                    Move::Withdraw { distance_mm: 15.0 },
-                    Move::Rest { duration_s: 5.0 },
-                    Move::Bend { angle_deg: 20.0 },
-                    Move::Turn { angle_deg: 360.0 },
-                    Move::Bend { angle_deg: 0.0 },
-                ],
-                ..Insertion::default()
-            },
+            Way::Branch(branch, start_mm) => Insertion::default().with_branch(branch).with_start_mm(start_mm),
+            Way::Steady => Insertion::steady().with_repeat(true),
+            Way::ThereAndBack => Insertion::default().with_start_mm(20.0).with_moves(vec![
+                Move::Advance { distance_mm: 30.0 },
+                Move::Withdraw { distance_mm: 15.0 },
+                Move::Rest { duration_s: 5.0 },
+                Move::Bend { angle_deg: 20.0 },
+                Move::Turn { angle_deg: 360.0 },
+                Move::Bend { angle_deg: 0.0 },
+            ]),
         }
     }
 }

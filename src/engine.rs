@@ -1,11 +1,12 @@
 //! Where work is computed, and why there.
 
 #[cfg(feature = "gpu")]
-use crate::gpu::{AdapterDescription, adapters};
+use crate::gpu::{AdapterDescription, GpuError, adapters};
 use serde::Serialize;
 
 /// What an engine says of itself.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+#[non_exhaustive]
 pub struct EngineDescription {
     /// `cpu`, `reference` or `gpu`.
     pub name: String,
@@ -23,12 +24,12 @@ pub const WORTH_A_DEVICE_S: f64 = 0.5;
 /// The adapter that large work goes to, of a list with the best first, where none is named.
 ///
 /// # Errors
-/// Why the work stays on the CPU.
+/// Why the work stays on the CPU: [`GpuError::NoAdapters`] or [`GpuError::SoftwareOnly`].
 #[cfg(feature = "gpu")]
-pub fn choose(adapters: &[AdapterDescription]) -> Result<&AdapterDescription, String> {
+pub fn choose(adapters: &[AdapterDescription]) -> Result<&AdapterDescription, GpuError> {
     match adapters.first() {
-        None => Err("there is no GPU adapter".into()),
-        Some(best) if best.is_software() => Err(format!("the best adapter, {}, is software", best.name)),
+        None => Err(GpuError::NoAdapters),
+        Some(best) if best.is_software() => Err(GpuError::SoftwareOnly { adapter: best.name.clone() }),
         Some(best) => Ok(best),
     }
 }
@@ -36,14 +37,14 @@ pub fn choose(adapters: &[AdapterDescription]) -> Result<&AdapterDescription, St
 /// An engine made by `new` on the adapter of that name, or on the best one if it is not software.
 ///
 /// # Errors
-/// Why the work stays on the CPU.
+/// Why the work stays on the CPU: as [`choose`], or what `new` fails with.
 #[cfg(feature = "gpu")]
 pub(crate) fn start<E>(
     adapter: Option<&str>,
     new: impl FnOnce(Option<&str>) -> crate::Result<E>,
-) -> Result<E, String> {
+) -> crate::Result<E> {
     if adapter.is_none() {
         choose(&adapters())?;
     }
-    new(adapter).map_err(|e| e.to_string())
+    new(adapter)
 }

@@ -30,7 +30,6 @@ macro_rules! setters {
         }
     };
 }
-#[expect(unused_imports, reason = "for the simulator")]
 pub(crate) use setters;
 
 /// How the wall is reconstructed.

@@ -80,13 +80,11 @@ impl Arguments {
         truth.surface().write(&file("truth.vtp"))?;
         mesh.write(&file("vessel.vtp"))?;
         render(&mesh, &style)?.write(&file("vessel.png"))?;
-        let page = html(&PageContent {
-            title: "lumenmesh demo: a simulated adult aorta",
-            recording,
-            lumen: &lumen,
-            measured: Some((&truth, &evaluation)),
-            command: &format!("lumenmesh demo --seed {}", self.seed),
-        })?;
+        let command = format!("lumenmesh demo --seed {}", self.seed);
+        let content =
+            PageContent::new("lumenmesh demo: a simulated adult aorta", recording, &lumen, &command)
+                .with_truth(&truth, &evaluation);
+        let page = html(&content)?;
         write_atomically(&file("report.html"), |out| out.write_all(page.as_bytes()))?;
         let files = ["recording.mat", "truth.vtp", "vessel.vtp", "vessel.png", "report.html", "summary.json"]
             .map(file)

@@ -51,7 +51,7 @@ impl Report {
                 let why = format!("for work that would take the CPU {seconds} s or more; less stays there");
                 Choice { adapter: Some(best.name.clone()), why }
             }
-            Err(why) => Choice { adapter: None, why },
+            Err(reason) => Choice { adapter: None, why: reason.to_string() },
         };
         Self { adapters, gpu, auto }
     }

@@ -57,13 +57,12 @@ impl Arguments {
             .recording
             .file_name()
             .map_or_else(|| self.recording.display().to_string(), |name| name.to_string_lossy().into_owned());
-        let page = html(&PageContent {
-            title: &format!("Reconstruction of {name}"),
-            recording: &recording,
-            lumen: &lumen,
-            measured: truth.as_ref().zip(evaluation.as_ref()),
-            command: &typed(),
-        })?;
+        let (title, command) = (format!("Reconstruction of {name}"), typed());
+        let mut content = PageContent::new(&title, &recording, &lumen, &command);
+        if let Some((truth, evaluation)) = truth.as_ref().zip(evaluation.as_ref()) {
+            content = content.with_truth(truth, evaluation);
+        }
+        let page = html(&content)?;
         write_atomically(&self.output, |w| w.write_all(page.as_bytes()))?;
         if self.json {
             return print_json(&serde_json::json!({

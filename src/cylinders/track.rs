@@ -72,6 +72,7 @@ impl PlacedFrame {
 
 /// The local cylinder of a frame, in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct PlacedCylinder {
     /// `wTcyl`; the long axis is x.
     pub world_from_cylinder: Pose,
@@ -83,6 +84,7 @@ pub struct PlacedCylinder {
 
 /// A frame whose points can lie in a cylinder's section.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct NearFrame {
     /// Its points, as a range of [`Track::echoes_mm`].
     pub echoes: Range<usize>,

@@ -9,6 +9,7 @@ use std::collections::HashMap;
 
 /// The nodes of a truth surface near which a recording has a contour point.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Coverage {
     /// Largest distance to a contour point, mm.
     pub within_mm: f64,

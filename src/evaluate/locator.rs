@@ -15,6 +15,7 @@ const RUN: usize = 256;
 
 /// The closest point of a surface to a query.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Closest {
     /// Where it is, mm.
     pub point_mm: DVec3,

@@ -83,6 +83,7 @@ impl Truth {
 
 /// Statistics of distances, mm, each with its weight.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Distances {
     /// Number of nodes.
     pub nodes: usize,
@@ -136,6 +137,7 @@ impl Distances {
 
 /// How far a mesh is from the truth. [`DEFINITIONS`] says what each number means.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Evaluation {
     /// The mesh's nodes to the truth; its mean is the fitting error.
     pub mesh_to_truth: Distances,

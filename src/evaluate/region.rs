@@ -7,6 +7,7 @@ use serde::Serialize;
 
 /// The errors of one stretch of a vessel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Region {
     /// Its start along the centreline, mm.
     pub from_mm: f64,

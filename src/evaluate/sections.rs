@@ -12,6 +12,7 @@ use std::path::Path;
 
 /// The lumen in the plane of one frame. Numbers are NaN (`null` in JSON) where the mesh has no closed outline there.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct LumenSection {
     /// The frame (0-based).
     pub frame: usize,

@@ -8,6 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// The volumes inside a mesh and inside the truth, each with its openings closed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Volumes {
     /// Of the mesh, mm³.
     pub mesh_mm3: f64,

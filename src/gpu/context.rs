@@ -10,6 +10,7 @@ const DEVICE_TIMEOUT: Duration = Duration::from_secs(120);
 
 /// An adapter, described for a person.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct AdapterDescription {
     /// Its name.
     pub name: String,
@@ -89,6 +90,7 @@ fn enumerate() -> Vec<(AdapterDescription, wgpu::Adapter)> {
 
 /// The requirements of the engines on a device, for hosts that request their own.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Requirements {
     /// Features: none beyond the standard's.
     pub features: wgpu::Features,

@@ -11,6 +11,16 @@ pub enum GpuError {
         /// The adapters of this machine.
         found: String,
     },
+    /// The machine has no adapter at all.
+    #[error("there is no GPU adapter")]
+    NoAdapters,
+    /// The best adapter is a software driver, which is slower than the engines of the CPU.
+    #[error("the best adapter, {adapter}, is software")]
+    #[non_exhaustive]
+    SoftwareOnly {
+        /// The adapter.
+        adapter: String,
+    },
     /// The adapter gave no device.
     #[error("adapter {adapter} gives no device: {reason}")]
     #[non_exhaustive]

@@ -11,6 +11,7 @@ pub(crate) mod shader;
 
 pub use context::{AdapterDescription, Requirements, adapters};
 pub use error::GpuError;
+pub use runner::PassTimes;
 
 pub(crate) use buffers::Buffers;
 pub(crate) use context::{Context, checked};

@@ -28,6 +28,9 @@ pub(crate) struct ReadyPass<Stage: 'static, Items: 'static> {
     pub(crate) pipeline: Pipeline,
 }
 
+/// The name of each pass and its time on the device, s.
+pub type PassTimes = Vec<(&'static str, f64)>;
+
 /// A device and the passes of a table made ready on it.
 pub(crate) struct Runner<Stage: 'static, Items: 'static> {
     pub(crate) context: Context,
@@ -70,10 +73,7 @@ impl<Stage, Items> Runner<Stage, Items> {
 
     /// Does some work and returns with it the device time of each of its passes, in seconds, in the order of
     /// their names. There are no times where the device has no timestamps.
-    pub(crate) fn timed<R, E>(
-        &self,
-        work: impl FnOnce() -> Result<R, E>,
-    ) -> Result<(R, Vec<(&'static str, f64)>), E> {
+    pub(crate) fn timed<R, E>(&self, work: impl FnOnce() -> Result<R, E>) -> Result<(R, PassTimes), E> {
         let can = self.context.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
         *self.times() = can.then(BTreeMap::new);
         let done = work();

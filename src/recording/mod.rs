@@ -23,6 +23,7 @@ pub const FRAME_INTERVAL_S: f64 = 1.0 / 12.0;
 
 /// One IVUS frame: a contour and the pose of the tracker sensor when it was taken.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Frame {
     /// `wTe`: the tracker sensor in the world, mm.
     pub world_from_sensor: Pose,
@@ -35,6 +36,32 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// A frame without a time and without a cylinder.
+    pub fn new(world_from_sensor: Pose, contour_mm: Vec<DVec2>) -> Self {
+        Self { world_from_sensor, time_s: None, contour_mm, cylinder: None }
+    }
+
+    /// Sets the time.
+    #[must_use]
+    pub fn with_time_s(mut self, time_s: Option<f64>) -> Self {
+        self.time_s = time_s;
+        self
+    }
+
+    /// Sets the wall points.
+    #[must_use]
+    pub fn with_contour_mm(mut self, contour_mm: Vec<DVec2>) -> Self {
+        self.contour_mm = contour_mm;
+        self
+    }
+
+    /// Sets the local cylinder.
+    #[must_use]
+    pub fn with_cylinder(mut self, cylinder: Option<CylinderModel>) -> Self {
+        self.cylinder = cylinder;
+        self
+    }
+
     /// The contour without its missing echoes.
     pub fn echoes_mm(&self) -> impl Iterator<Item = DVec2> + Clone + '_ {
         self.contour_mm.iter().copied().filter(|p| !p.is_nan())
@@ -138,6 +165,7 @@ impl Recording {
 
 /// Why a frame cannot be used.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Defect {
     /// The quantity.
     pub field: &'static str,

@@ -7,6 +7,7 @@ use std::fmt;
 /// It accepts recordings that fail [`Recording::check`]: unusable frames are left out of the statistics that they would
 /// distort and are listed among the [`defects`](Self::defects).
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Summary {
     /// Frames.
     pub frames: usize,
@@ -38,6 +39,7 @@ pub struct Summary {
 
 /// Smallest, middle and largest of some numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct MinMedianMax {
     /// The smallest.
     pub min: f64,
@@ -49,6 +51,7 @@ pub struct MinMedianMax {
 
 /// Frames with one kind of defect.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Defects {
     /// The quantity.
     pub field: &'static str,
@@ -64,6 +67,7 @@ pub struct Defects {
 
 /// One occurrence of a defect.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Example {
     /// The frame (0-based); `None`: the recording as a whole.
     pub frame: Option<usize>,

@@ -11,6 +11,7 @@ use crate::reconstruction::{Lumen, LumenReport};
 use crate::recording::{MinMedianMax, Recording, Summary};
 
 /// The content of a page.
+#[non_exhaustive]
 pub struct PageContent<'a> {
     /// Its title, such as the recording's name.
     pub title: &'a str,
@@ -22,6 +23,20 @@ pub struct PageContent<'a> {
     pub measured: Option<(&'a Truth, &'a Evaluation)>,
     /// The command that reproduces it.
     pub command: &'a str,
+}
+
+impl<'a> PageContent<'a> {
+    /// A page without a truth.
+    pub fn new(title: &'a str, recording: &'a Recording, lumen: &'a Lumen, command: &'a str) -> Self {
+        Self { title, recording, lumen, measured: None, command }
+    }
+
+    /// Adds the truth, and the evaluation of the lumen's surface against it.
+    #[must_use]
+    pub fn with_truth(mut self, truth: &'a Truth, evaluation: &'a Evaluation) -> Self {
+        self.measured = Some((truth, evaluation));
+        self
+    }
 }
 
 /// One reconstruction as a self-contained HTML page: summary, error distribution, the vessel in colours from three

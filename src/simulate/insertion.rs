@@ -4,6 +4,7 @@ use super::centreline::Centreline;
 use super::vessel::SimulatedVessel;
 use super::within;
 use crate::geometry::Pose;
+use crate::settings::setters;
 use crate::{Error, Result};
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -48,6 +49,7 @@ pub enum Move {
 /// y across the catheter, z along it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Insertion {
     /// Which of the vessel's centrelines, counted from 0.
     pub branch: usize,
@@ -72,6 +74,20 @@ pub struct Insertion {
     /// Smallest distance of the tip from the wall, mm. A bend that would bring it nearer, in any plane, is reduced.
     pub clearance_mm: f64,
 }
+
+setters!(Insertion {
+    with_branch => branch: usize,
+    with_start_mm => start_mm: f64,
+    with_end_mm => end_mm: Option<f64>,
+    with_moves => moves: Vec<Move>,
+    with_repeat => repeat: bool,
+    with_frame_rate_hz => frame_rate_hz: f64,
+    with_speed_mm_s => speed_mm_s: f64,
+    with_bend_rate_deg_s => bend_rate_deg_s: f64,
+    with_turn_rate_deg_s => turn_rate_deg_s: f64,
+    with_bending_length_mm => bending_length_mm: f64,
+    with_clearance_mm => clearance_mm: f64,
+});
 
 impl Default for Insertion {
     /// The sequence of the thesis: 20 mm forward at 2.4 mm/s, the tip bent by 30° at 4.8°/s, its plane turned
@@ -101,6 +117,7 @@ impl Default for Insertion {
 
 /// A bend that was reduced because the tip would have left the lumen.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct ReducedBend {
     /// Where along the centreline, mm.
     pub s_mm: f64,

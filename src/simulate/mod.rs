@@ -33,6 +33,7 @@ pub use vessel::SimulatedVessel;
 use crate::geometry::Pose;
 use crate::recording::CylinderModel;
 use crate::recording::{Frame, Recording};
+use crate::settings::setters;
 use crate::{Error, Result};
 use glam::{DVec2, DVec3};
 use noise::FrameNoise;
@@ -42,6 +43,7 @@ use serde::{Deserialize, Serialize};
 /// All settings of a simulated recording except the vessel.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct SimulationSettings {
     /// Motion of the catheter.
     pub insertion: Insertion,
@@ -53,6 +55,13 @@ pub struct SimulationSettings {
     /// tip, and the inscribed radius there, with the noise that [`Noise`] asks for.
     pub cylinders: bool,
 }
+
+setters!(SimulationSettings {
+    with_insertion => insertion: Insertion,
+    with_probe => probe: Probe,
+    with_noise => noise: Noise,
+    with_cylinders => cylinders: bool,
+});
 
 impl SimulationSettings {
     /// Checks what does not depend on the vessel.
@@ -68,6 +77,7 @@ impl SimulationSettings {
 
 /// A simulated recording and its truth.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Simulation {
     /// The recording with noise. The probe is the sensor: `eTi` is the identity.
     pub recording: Recording,

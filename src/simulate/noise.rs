@@ -3,6 +3,7 @@
 use super::within;
 use crate::Result;
 use crate::geometry::Pose;
+use crate::settings::setters;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -28,6 +29,7 @@ pub enum ContourNoise {
 /// of threads nor switching one fault on changes what another one does.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Noise {
     /// Seed of all random numbers.
     pub seed: u64,
@@ -63,6 +65,24 @@ pub struct Noise {
     /// Standard deviation of its radius, mm.
     pub cylinder_radius_sd_mm: f64,
 }
+
+setters!(Noise {
+    with_seed => seed: u64,
+    with_position_sd_mm => position_sd_mm: f64,
+    with_rotation_sd_deg => rotation_sd_deg: f64,
+    with_contour_sd_mm => contour_sd_mm: f64,
+    with_contour => contour: ContourNoise,
+    with_dropout_probability => dropout_probability: f64,
+    with_spike_probability => spike_probability: f64,
+    with_position_drift_mm_per_sqrt_s => position_drift_mm_per_sqrt_s: f64,
+    with_rotation_drift_deg_per_sqrt_s => rotation_drift_deg_per_sqrt_s: f64,
+    with_latency_s => latency_s: f64,
+    with_pulsation_fraction => pulsation_fraction: f64,
+    with_pulsation_rate_hz => pulsation_rate_hz: f64,
+    with_cylinder_position_sd_mm => cylinder_position_sd_mm: f64,
+    with_cylinder_axis_sd_deg => cylinder_axis_sd_deg: f64,
+    with_cylinder_radius_sd_mm => cylinder_radius_sd_mm: f64,
+});
 
 impl Default for Noise {
     /// The levels of the thesis: 0.3 mm and 0.5° for the tracker, 1 mm for the contour; nothing else.

@@ -4,6 +4,7 @@ use super::branching::{self, Limb};
 use super::centreline::Centreline;
 use super::vessel::SimulatedVessel;
 use super::within;
+use crate::settings::setters;
 use crate::surface::Surface;
 use crate::{Error, Result};
 use glam::{DMat3, DQuat, DVec2, DVec3};
@@ -15,6 +16,7 @@ use std::str::FromStr;
 /// centrelines start at the origin along +z.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Phantom {
     /// Which vessel.
     pub shape: Shape,
@@ -22,6 +24,8 @@ pub struct Phantom {
     #[serde(default = "default_edge_mm")]
     pub edge_mm: f64,
 }
+
+setters!(Phantom { with_edge_mm => edge_mm: f64 });
 
 fn default_edge_mm() -> f64 {
     1.2

@@ -3,6 +3,7 @@
 use super::vessel::SimulatedVessel;
 use super::within;
 use crate::geometry::Pose;
+use crate::settings::setters;
 use crate::{Error, Result};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -11,12 +12,18 @@ use std::f64::consts::TAU;
 /// A rotating IVUS transducer that sends its rays out in the xy-plane of the probe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Probe {
     /// Rays per frame; ray j leaves at the angle 2πj/rays from x towards y.
     pub rays: usize,
     /// Walls farther away give no echo, mm.
     pub range_mm: f64,
 }
+
+setters!(Probe {
+    with_rays => rays: usize,
+    with_range_mm => range_mm: f64,
+});
 
 impl Default for Probe {
     fn default() -> Self {

@@ -9,6 +9,7 @@ use std::path::Path;
 
 /// The noise of a tracker, measured on a sensor that lay still.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct TrackerNoise {
     /// The sensor's name in the file.
     pub sensor: String,

@@ -13,6 +13,7 @@ use std::path::Path;
 
 /// The settings to try: every combination of the three lists.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct StudyGrid {
     /// Nodes per ring.
     pub nodes: Vec<u32>,
@@ -23,6 +24,11 @@ pub struct StudyGrid {
 }
 
 impl StudyGrid {
+    /// Every combination of the three lists.
+    pub fn new(nodes: Vec<u32>, levels: Vec<u32>, iterations: Vec<u32>) -> Self {
+        Self { nodes, levels, iterations }
+    }
+
     /// The combinations, the iterations changing fastest; each once.
     pub fn cells(&self) -> Vec<Cell> {
         let mut cells = Vec::new();
@@ -42,6 +48,7 @@ impl StudyGrid {
 
 /// One combination.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Cell {
     /// Nodes per ring.
     pub nodes: u32,
@@ -53,6 +60,7 @@ pub struct Cell {
 
 /// The result of one combination.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct StudyRow {
     /// Checksum of recording, truth and the settings that the grid does not change.
     pub inputs: String,

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 
 /// The curves in which a plane cuts a surface.
 #[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
 pub struct Cut {
     /// The closed curves.
     pub outlines: Vec<SectionOutline>,

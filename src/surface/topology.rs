@@ -12,6 +12,7 @@ const SMALLEST_AREA_RATIO: f64 = 1e-12;
 ///
 /// Triangles that name a node twice count as degenerate and nowhere else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[non_exhaustive]
 pub struct Topology {
     /// Nodes that some triangle uses.
     pub nodes: usize,

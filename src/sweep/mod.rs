@@ -45,6 +45,7 @@ const STAGES: usize = 5;
 ///
 /// Node j of ring k has index `k·nodes + j` and lies at `θ = 2πj/nodes` of the axis's frame k.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Sweep {
     /// The axis that the section is swept along.
     pub axis: Axis,

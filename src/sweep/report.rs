@@ -13,6 +13,7 @@ use std::time::Instant;
 
 /// A sweep in numbers.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct SweepReport {
     /// The engine that fitted the wall.
     pub engine: EngineDescription,
@@ -58,6 +59,7 @@ pub struct SweepReport {
 
 /// Wall-clock time of each stage, in seconds.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
+#[non_exhaustive]
 pub struct SweepTimings {
     /// Finding the axis.
     pub axis: f64,

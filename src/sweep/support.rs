@@ -8,6 +8,7 @@ use crate::numerics::robust::median;
 
 /// The data that support the radius of each node. All lists have one value per node.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Support {
     /// Echoes nearer to the node than to the two others of their triangle; with a half-life, their weight.
     pub echoes: Vec<u32>,

@@ -24,7 +24,7 @@ fn the_device_may_take_over_after_any_stage() {
     for statistic in [Statistic::Mean, Statistic::Median] {
         let settings = Settings::default().with_nodes(24).with_levels(8).with_statistic(statistic);
         let track = Track::of(&recording, &settings).unwrap();
-        let request = FitRequest { history: true, ..FitRequest::new(&track, &[9, 19, 29, 39], &settings) };
+        let request = FitRequest::new(&track, &[9, 19, 29, 39], &settings).with_history(true);
         let expected = device.engine.fit(&request).unwrap().cylinders;
         let section = wall(5_000, 127);
         let expected_tube = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;

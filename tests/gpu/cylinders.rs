@@ -43,18 +43,10 @@ pub fn assert_all_agree(device: &Device, found: &[FittedCylinder], expected: &[F
 #[test]
 fn one_ulp_in_one_radius_is_not_the_same() {
     let tube = lumenmesh::cylinders::Tube { nodes: 3, levels: 1, height_mm: 1.0 };
-    let cylinder = DeformedTube {
-        tube,
-        radius_mm: 1.0,
-        radii_mm: vec![1.0; 6],
-        history_mm: Vec::new(),
-        travel_mm: vec![0.5],
-        support: vec![3; 6],
-        residual_mm: vec![f64::NAN; 6],
-        points: 9,
-        gated: 0,
-        rejected: 1,
-    };
+    let mut cylinder = DeformedTube::primitive(tube, 1.0);
+    cylinder.travel_mm = vec![0.5];
+    cylinder.support = vec![3; 6];
+    (cylinder.points, cylinder.rejected) = (9, 1);
     assert_same(&cylinder, &cylinder);
     let mut off = cylinder.clone();
     off.radii_mm[2] = off.radii_mm[2].next_up();

@@ -26,7 +26,7 @@ fn a_destroyed_device_fails_every_call() {
     let Some(device) = open() else { return };
     let settings = Settings::default();
     let section = wall(1_000, 137);
-    device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
+    device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap();
     let workspace = device.engine.prepare(1_000, RADIUS_MM, &settings).unwrap();
     device.engine.device().destroy();
     in_time(move || {

@@ -148,12 +148,11 @@ fn a_device_with_little_room_takes_a_job_in_batches() {
         let count = |_| {
             batches.fetch_add(1, Ordering::Relaxed);
         };
-        let request =
-            FitRequest { history: true, progress: &count, ..FitRequest::new(&track, &frames, &settings) };
+        let request = FitRequest::new(&track, &frames, &settings).with_history(true).with_progress(&count);
         let found = little.fit(&request).unwrap().cylinders;
         let batches = batches.load(Ordering::Relaxed);
         assert!((2..=frames.len()).contains(&batches), "{batches} batches of {} cylinders", frames.len());
-        let expected = device.engine.fit(&FitRequest { progress: &|_| (), ..request }).unwrap().cylinders;
+        let expected = device.engine.fit(&request.with_progress(&|_| ())).unwrap().cylinders;
         for (found, expected) in found.iter().zip(&expected) {
             assert_eq!(found.frame, expected.frame);
             assert_same(&found.tube, &expected.tube);

@@ -35,17 +35,12 @@ fn a_recording_fits_as_on_the_cpu_with_every_rule_and_grid() {
                 let count = |n: usize| {
                     ready.fetch_add(n, Ordering::Relaxed);
                 };
-                let request = FitRequest {
-                    history: true,
-                    progress: &count,
-                    ..FitRequest::new(&track, &frames, &settings)
-                };
+                let request =
+                    FitRequest::new(&track, &frames, &settings).with_history(true).with_progress(&count);
                 let found = device.engine.fit(&request).unwrap().cylinders;
                 assert_eq!(ready.load(Ordering::Relaxed), frames.len());
-                let expected = CpuEngine::<f32>::new()
-                    .fit(&FitRequest { progress: &|_| (), ..request })
-                    .unwrap()
-                    .cylinders;
+                let expected =
+                    CpuEngine::<f32>::new().fit(&request.with_progress(&|_| ())).unwrap().cylinders;
                 assert_all_agree(device, &found, &expected);
             }
         }
@@ -79,7 +74,7 @@ fn golden_cylinders_come_out_to_the_precision_of_f32() {
         frames.dedup();
         let settings = Settings::default().with_nodes(nodes).with_levels(levels).with_statistic(statistic);
         let track = Track::of(&Recording::read(&recording).unwrap(), &settings).unwrap();
-        let request = FitRequest { history: true, ..FitRequest::new(&track, &frames, &settings) };
+        let request = FitRequest::new(&track, &frames, &settings).with_history(true);
         let found = device.engine.fit(&request).unwrap().cylinders;
         assert_all_agree(device, &found, &CpuEngine::<f32>::new().fit(&request).unwrap().cylinders);
 

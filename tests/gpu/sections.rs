@@ -69,12 +69,9 @@ pub fn recording(frames: usize, rays: usize, seed: u64) -> Recording {
             })
             .collect();
         let axis = DVec3::new(0.03, 0.02 * (along / 5.0).cos(), 1.0);
-        Frame {
-            world_from_sensor: Pose::from_quaternion(position, tilt),
-            time_s: Some(k as f64 / 30.0),
-            contour_mm,
-            cylinder: Some(CylinderModel::from_axis(0.7, -0.4, axis, RADIUS_MM + 0.01 * (k % 7) as f64)),
-        }
+        Frame::new(Pose::from_quaternion(position, tilt), contour_mm)
+            .with_time_s(Some(k as f64 / 30.0))
+            .with_cylinder(Some(CylinderModel::from_axis(0.7, -0.4, axis, RADIUS_MM + 0.01 * (k % 7) as f64)))
     };
     Recording { frames: (0..frames).map(&mut frame).collect() }
 }

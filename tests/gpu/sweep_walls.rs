@@ -75,11 +75,8 @@ fn a_wall_is_the_cpu_s_with_noise_and_without() {
         ("side_branch", Noise::default(), 8, Some(65)),
         ("small_arch", Noise::none(), 9, None),
     ] {
-        let noise = Noise { seed, ..noise };
-        let recording = simulated(
-            shape,
-            &simulate::SimulationSettings { noise, ..simulate::SimulationSettings::default() },
-        );
+        let noise = noise.with_seed(seed);
+        let recording = simulated(shape, &simulate::SimulationSettings::default().with_noise(noise));
         let expected = Sweep::of(&recording, &settings(Backend::Cpu, nodes)).unwrap();
         let found = Sweep::of(&recording, &settings(Backend::Gpu, nodes)).unwrap();
         assert_eq!((found.report.engine.name.as_str(), expected.report.engine.name.as_str()), ("gpu", "cpu"));
@@ -128,10 +125,9 @@ fn the_sweep_s_error_is_the_cpu_s() {
 fn thousands_of_rings_of_512_nodes_are_the_cpu_s() {
     let Some(_) = device() else { return };
     let many: SweepCase = "512x1e6".parse().unwrap();
-    let small = Noise { contour_sd_mm: 0.01, ..Noise::none() };
-    let probe = Probe { rays: 512, ..Probe::default() };
-    let clean =
-        simulate::SimulationSettings { noise: small, probe, ..simulate::SimulationSettings::default() };
+    let small = Noise::none().with_contour_sd_mm(0.01);
+    let probe = Probe::default().with_rays(512);
+    let clean = simulate::SimulationSettings::default().with_noise(small).with_probe(probe);
     for recording in [simulated("small_arch", &clean), many.recording(11)] {
         let start = std::time::Instant::now();
         let expected = Sweep::of(&recording, &settings(Backend::Cpu, Some(512))).unwrap();

@@ -27,19 +27,11 @@ fn cylinder(
     let support: Vec<u32> = (0..TUBE.node_count())
         .map(|node| support(TUBE.ring_z_mm(node / TUBE.nodes), node % TUBE.nodes))
         .collect();
-    let tube = DeformedTube {
-        tube: TUBE,
-        radius_mm: RADIUS_MM,
-        radii_mm: vec![RADIUS_MM; TUBE.node_count()],
-        history_mm: Vec::new(),
-        travel_mm: Vec::new(),
-        residual_mm: support.iter().map(|&n| if n > 0 { 0.25 } else { f64::NAN }).collect(),
-        support,
-        points: 1000,
-        gated: 0,
-        rejected: 0,
-    };
-    FittedCylinder { frame, world_from_cylinder, tube }
+    let mut tube = DeformedTube::primitive(TUBE, RADIUS_MM);
+    tube.residual_mm = support.iter().map(|&n| if n > 0 { 0.25 } else { f64::NAN }).collect();
+    tube.support = support;
+    tube.points = 1000;
+    FittedCylinder::new(frame, world_from_cylinder, tube)
 }
 
 fn seen_all_round(_: f64, _: usize) -> u32 {
@@ -224,12 +216,9 @@ fn rings_in_a_branch_that_was_not_taken_go_away() {
 fn blending_is_nearer_to_the_truth_than_stitching() {
     for (shape, seed, noise) in [("stenosis", 3, 1.0), ("small_arch", 4, 1.0), ("stenosis", 5, 0.0)] {
         let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
-        let noise = if noise > 0.0 {
-            simulate::Noise { seed, ..Default::default() }
-        } else {
-            simulate::Noise::none()
-        };
-        let settings = simulate::SimulationSettings { noise, ..Default::default() };
+        let noise =
+            if noise > 0.0 { simulate::Noise::default().with_seed(seed) } else { simulate::Noise::none() };
+        let settings = simulate::SimulationSettings::default().with_noise(noise);
         let simulation = Simulation::run(vessel, &settings).unwrap();
         let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
         let settings = Settings::default();

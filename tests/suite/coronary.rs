@@ -58,7 +58,7 @@ impl Case {
 
     fn upright(&self) -> Recording {
         let mut upright = Upright { sensor_from_probe: Pose::IDENTITY };
-        let stand = |frame: &Frame| Frame { cylinder: upright.push(frame), ..frame.clone() };
+        let stand = |frame: &Frame| frame.clone().with_cylinder(upright.push(frame));
         Recording { frames: self.pullback.recording.frames.iter().map(stand).collect() }
     }
 
@@ -157,7 +157,7 @@ fn every_lumen_is_star_shaped_about_its_centroid() {
     // Negative control: a horseshoe.
     let arc = |radius: f64, j: i32| DVec2::from_angle(f64::from(j) * 0.05) * radius;
     let contour_mm = (0..=100).map(|j| arc(3.0, j)).chain((0..=100).rev().map(|j| arc(2.0, j))).collect();
-    let horseshoe = Frame { world_from_sensor: Pose::IDENTITY, time_s: None, contour_mm, cylinder: None };
+    let horseshoe = Frame::new(Pose::IDENTITY, contour_mm);
     assert!(!is_star_shaped(&horseshoe));
 }
 

@@ -132,11 +132,11 @@ fn a_frame_without_a_model_gets_what_all_earlier_frames_say() {
 
 #[test]
 fn a_contour_that_crosses_itself_keeps_its_centre_among_its_points() {
-    let bow_tie = |tip: f64| Frame {
-        world_from_sensor: Pose::IDENTITY,
-        time_s: None,
-        contour_mm: [(-1.0, -1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, tip)].map(DVec2::from).to_vec(),
-        cylinder: None,
+    let bow_tie = |tip: f64| {
+        Frame::new(
+            Pose::IDENTITY,
+            [(-1.0, -1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, tip)].map(DVec2::from).to_vec(),
+        )
     };
     // Nearly no area is left: the formula alone puts the centre 133 mm away.
     let centre = bow_tie(1.01).centroid_mm().unwrap();
@@ -195,11 +195,8 @@ fn error_of(frame: &Frame, model: &CylinderModel, truth: &LocalTruth) -> [f64; 3
 }
 
 fn simulated(shape: &str, insertion: &Insertion, noise: &Noise) -> Simulation {
-    let settings = simulate::SimulationSettings {
-        insertion: insertion.clone(),
-        noise: noise.clone(),
-        ..Default::default()
-    };
+    let settings =
+        simulate::SimulationSettings::default().with_insertion(insertion.clone()).with_noise(noise.clone());
     vessel::simulated(shape, &settings)
 }
 
@@ -210,11 +207,11 @@ fn there_and_back() -> Insertion {
         Move::Rest { duration_s: 10.0 },
         Move::Withdraw { distance_mm: 60.0 },
     ];
-    Insertion { moves, repeat: false, ..Insertion::default() }
+    Insertion::default().with_moves(moves).with_repeat(false)
 }
 
 fn wrong_echoes() -> Noise {
-    Noise { dropout_probability: 0.2, spike_probability: 0.05, ..Noise::default() }
+    Noise::default().with_dropout_probability(0.2).with_spike_probability(0.05)
 }
 
 const MAX: [f64; 3] = [0.5, 4.0, 3.0];
@@ -224,16 +221,16 @@ const MAX: [f64; 3] = [0.5, 4.0, 3.0];
 #[test]
 fn cylinders_are_found_in_simulated_vessels() {
     let cases = [
-        ("aorta", Insertion { end_mm: Some(150.0), ..Insertion::default() }, Noise::default()),
-        ("aorta", Insertion::steady(), Noise { seed: 2, ..Noise::default() }),
-        ("arch", Insertion::default(), Noise { seed: 3, ..Noise::default() }),
-        ("small_arch", Insertion::default(), Noise { seed: 4, ..Noise::default() }),
+        ("aorta", Insertion::default().with_end_mm(Some(150.0)), Noise::default()),
+        ("aorta", Insertion::steady(), Noise::default().with_seed(2)),
+        ("arch", Insertion::default(), Noise::default().with_seed(3)),
+        ("small_arch", Insertion::default(), Noise::default().with_seed(4)),
         ("stenosis", Insertion::default(), wrong_echoes()),
         ("frustum", Insertion::steady(), wrong_echoes()),
         ("ellipse", Insertion::default(), Noise::default()),
         ("side_branch", Insertion::steady(), Noise::default()),
         ("cylinder", there_and_back(), Noise::default()),
-        ("arch", there_and_back(), Noise { seed: 5, ..Noise::default() }),
+        ("arch", there_and_back(), Noise::default().with_seed(5)),
     ];
     for (shape, insertion, noise) in cases {
         let simulation = simulated(shape, &insertion, &noise);

@@ -269,9 +269,10 @@ fn percentiles_are_by_nearest_rank_and_weights_count_like_copies() {
     assert_eq!((even.median_mm, even.p95_mm, even.max_mm, even.mean_mm), (10.0, 19.0, 20.0, 10.5));
     let rms = ((1..=20).map(|k| f64::from(k * k)).sum::<f64>() / 20.0).sqrt();
     assert!((even.rms_mm - rms).abs() < 1e-12);
-    let weighted = of(&[3.0, 1.0, 0.0]);
+    let mut weighted = of(&[3.0, 1.0, 0.0]);
     let copies = Distances::of(&[20.0, 20.0, 20.0, 19.0], &[1.0; 4]).unwrap();
-    assert_eq!(Distances { nodes: 4, ..weighted }, copies);
+    weighted.nodes = 4;
+    assert_eq!(weighted, copies);
     assert!(Distances::of(&[1.0], &[0.0]).is_none() && Distances::of(&[], &[]).is_none());
 }
 

@@ -155,8 +155,8 @@ fn the_page_of_the_experiments_has_all_tables_and_figures() {
 }
 
 fn steady(vessel: &str) -> Simulation {
-    let insertion = Insertion { end_mm: Some(60.0), ..Insertion::steady() };
-    let settings = simulate::SimulationSettings { insertion, ..simulate::SimulationSettings::default() };
+    let insertion = Insertion::steady().with_end_mm(Some(60.0));
+    let settings = simulate::SimulationSettings::default().with_insertion(insertion);
     Simulation::run(phantom(vessel), &settings).unwrap()
 }
 
@@ -168,17 +168,9 @@ fn a_reconstruction_fills_a_page_with_and_without_its_truth() {
     for settings in [&cylinders, &Settings::default()] {
         let lumen = Reconstructor::new(settings.clone()).history(true).run(&simulation.recording).unwrap();
         let evaluation = evaluate(&lumen.surface(), &truth).unwrap();
-        let page = |measured| {
-            html(&PageContent {
-                title: "A <stenosis>",
-                recording: &simulation.recording,
-                lumen: &lumen,
-                measured,
-                command: "lumenmesh report",
-            })
-            .unwrap()
-        };
-        let (with, without) = (page(Some((&truth, &evaluation))), page(None));
+        let page = |content: PageContent| html(&content).unwrap();
+        let content = || PageContent::new("A <stenosis>", &simulation.recording, &lumen, "lumenmesh report");
+        let (with, without) = (page(content().with_truth(&truth, &evaluation)), page(content()));
         assert!(with.contains(&format!("<td>{:.4}</td>", evaluation.mesh_to_truth.mean_mm)));
         for page in [&with, &without] {
             assert!(is_self_contained(page) && page.contains("<h1>A &lt;stenosis&gt;</h1>"));
@@ -190,21 +182,17 @@ fn a_reconstruction_fills_a_page_with_and_without_its_truth() {
         assert!(with.contains("<h2>Error</h2>") && without.contains("<h2>Residual</h2>"));
     }
     let settings = cylinders.with_iterations(0);
-    let unfitted = html(&PageContent {
-        title: "Cylinders as they are",
-        recording: &simulation.recording,
-        lumen: &Reconstructor::new(settings.clone()).run(&simulation.recording).unwrap(),
-        measured: None,
-        command: "lumenmesh report --method cylinders --iterations 0",
-    });
+    let lumen = Reconstructor::new(settings).run(&simulation.recording).unwrap();
+    let command = "lumenmesh report --method cylinders --iterations 0";
+    let unfitted = html(&PageContent::new("Cylinders as they are", &simulation.recording, &lumen, command));
     assert!(unfitted.unwrap().contains("nothing was fitted"));
 }
 
 #[test]
 fn a_side_branch_that_the_probe_never_saw_is_not_covered() {
     // Up to the middle of the trunk, which ends just where the branch leaves it.
-    let insertion = Insertion { end_mm: Some(40.0), ..Insertion::steady() };
-    let settings = simulate::SimulationSettings { insertion, ..simulate::SimulationSettings::default() };
+    let insertion = Insertion::steady().with_end_mm(Some(40.0));
+    let settings = simulate::SimulationSettings::default().with_insertion(insertion);
     let simulation = Simulation::run(phantom("side_branch"), &settings).unwrap();
     let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
     let coverage =
@@ -232,7 +220,7 @@ struct Studied(Recording, Truth, Settings, StudyGrid);
 fn studied() -> Studied {
     let simulation = steady("frustum");
     let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
-    let grid = StudyGrid { nodes: vec![8, 12], levels: vec![5], iterations: vec![0, 2] };
+    let grid = StudyGrid::new(vec![8, 12], vec![5], vec![0, 2]);
     Studied(simulation.recording, truth, Settings::default(), grid)
 }
 

@@ -53,7 +53,7 @@ struct Case {
 
 impl Case {
     fn fit<T: Scalar>(&self) -> Radii {
-        let job = FitRequest { history: true, ..FitRequest::new(&self.track, &self.frames, &self.settings) };
+        let job = FitRequest::new(&self.track, &self.frames, &self.settings).with_history(true);
         radii(&CpuEngine::<T>::new().fit(&job).unwrap().cylinders)
     }
 }

@@ -22,8 +22,11 @@ fn sweep() -> Settings {
 }
 
 fn simulated(shape: &str, insertion: Insertion, seed: u64) -> Simulation {
-    let noise = simulate::Noise { seed, ..Default::default() };
-    vessel::simulated(shape, &simulate::SimulationSettings { insertion, noise, ..Default::default() })
+    let noise = simulate::Noise::default().with_seed(seed);
+    vessel::simulated(
+        shape,
+        &simulate::SimulationSettings::default().with_insertion(insertion).with_noise(noise),
+    )
 }
 
 fn pushed(frames: &[Frame], settings: &Settings) -> Live {
@@ -42,8 +45,8 @@ fn bytes(surface: &Surface) -> Vec<u64> {
 
 fn to_and_fro() -> Insertion {
     let advance = |distance_mm| Move::Advance { distance_mm };
-    Insertion {
-        moves: vec![
+    Insertion::default()
+        .with_moves(vec![
             advance(30.0),
             Move::Bend { angle_deg: 25.0 },
             Move::Turn { angle_deg: 360.0 },
@@ -51,10 +54,8 @@ fn to_and_fro() -> Insertion {
             Move::Withdraw { distance_mm: 15.0 },
             advance(60.0),
             Move::Withdraw { distance_mm: 40.0 },
-        ],
-        repeat: false,
-        ..Insertion::default()
-    }
+        ])
+        .with_repeat(false)
 }
 
 #[test]
@@ -168,7 +169,7 @@ fn a_catheter_at_rest_costs_no_more_as_time_goes_by() {
         Move::Rest { duration_s: 300.0 },
     ];
     let recording =
-        simulated("cylinder", Insertion { moves, repeat: false, ..Insertion::default() }, 5).recording;
+        simulated("cylinder", Insertion::default().with_moves(moves).with_repeat(false), 5).recording;
     for settings in [cylinders(), sweep()] {
         let mut live = Live::new(&settings).unwrap();
         let work: Vec<Work> = recording.frames.iter().map(|frame| live.push(frame).unwrap().work).collect();

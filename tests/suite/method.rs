@@ -24,18 +24,19 @@ fn read(name: &str) -> Option<Recording> {
 }
 
 fn fit<T: Scalar>(track: &Track, frames: &[usize], settings: &Settings) -> Vec<FittedCylinder> {
-    let job = FitRequest { history: true, ..FitRequest::new(track, frames, settings) };
+    let job = FitRequest::new(track, frames, settings).with_history(true);
     CpuEngine::<T>::new().fit(&job).unwrap().cylinders
 }
 
 /// Contours every 0.05 mm from z = -5 to 5 whose radius is that of `wall`, then one at z = 0 with a cylinder of radius
 /// 10 mm about z: all of its section has been seen.
 fn seen_on_both_sides(wall: impl Fn(f64) -> f64) -> Recording {
-    let frame = |z: f64, cylinder| Frame {
-        world_from_sensor: Pose { translation_mm: DVec3::Z * z, ..Pose::IDENTITY },
-        time_s: None,
-        contour_mm: (0..360).map(|j| DVec2::from_angle(f64::from(j) / 360.0 * TAU) * wall(z)).collect(),
-        cylinder,
+    let frame = |z: f64, cylinder| {
+        Frame::new(
+            Pose { translation_mm: DVec3::Z * z, ..Pose::IDENTITY },
+            (0..360).map(|j| DVec2::from_angle(f64::from(j) / 360.0 * TAU) * wall(z)).collect(),
+        )
+        .with_cylinder(cylinder)
     };
     let model = CylinderModel::from_axis(0.0, 0.0, DVec3::Z, 10.0);
     let passing = (0..=200).map(|k| frame(-5.0 + f64::from(k) * 0.05, None));
@@ -363,7 +364,7 @@ fn leaving_out_far_frames_loses_no_point_of_a_disorderly_recording() {
         let contour_mm = (0..7).map(|_| away + DVec2::new(number(5.0), number(5.0))).collect();
         let lean = DVec3::new(number(1.0), number(1.0), 1.0);
         let cylinder = Some(CylinderModel::from_axis(number(5.0), number(5.0), lean, 8.0 + number(4.0)));
-        Frame { world_from_sensor: Pose::from_quaternion(place, turn), time_s: None, contour_mm, cylinder }
+        Frame::new(Pose::from_quaternion(place, turn), contour_mm).with_cylinder(cylinder)
     };
     let recording = Recording { frames: (0..1500).map(|_| frame()).collect() };
     let settings = Settings::default().with_gate([0.0, 2.5]).with_every(100);

@@ -23,11 +23,12 @@ fn sweep(arguments: &[&str], folder: &Path) -> (i32, String, String) {
 
 /// A straight vessel of radius 5 mm, 60 frames 0.5 mm apart, with its cylinders.
 fn some_recording() -> Recording {
-    let frame = |k: i32| Frame {
-        world_from_sensor: Pose { translation_mm: DVec3::Z * (f64::from(k) * 0.5), ..Pose::IDENTITY },
-        time_s: None,
-        contour_mm: (0..60).map(|j| DVec2::from_angle(f64::from(j) / 60.0 * TAU) * 5.0).collect(),
-        cylinder: Some(CylinderModel::from_axis(0.0, 0.0, DVec3::Z, 4.5)),
+    let frame = |k: i32| {
+        Frame::new(
+            Pose { translation_mm: DVec3::Z * (f64::from(k) * 0.5), ..Pose::IDENTITY },
+            (0..60).map(|j| DVec2::from_angle(f64::from(j) / 60.0 * TAU) * 5.0).collect(),
+        )
+        .with_cylinder(Some(CylinderModel::from_axis(0.0, 0.0, DVec3::Z, 4.5)))
     };
     Recording { frames: (0..60).map(frame).collect() }
 }

@@ -33,12 +33,9 @@ fn some_recording(seed: u64) -> Recording {
             false => DVec2::new(random.random_range(-20.0..20.0), random.random_range(-20.0..20.0)),
         };
         let contour_mm = (0..rays).map(point).collect();
-        Frame {
-            world_from_sensor: Pose::from_quaternion(position, quaternion),
-            time_s: (timed && random.random_bool(0.9)).then(|| random.random_range(0.0..60.0)),
-            contour_mm,
-            cylinder: (modelled && random.random_bool(0.9)).then_some(model),
-        }
+        Frame::new(Pose::from_quaternion(position, quaternion), contour_mm)
+            .with_time_s((timed && random.random_bool(0.9)).then(|| random.random_range(0.0..60.0)))
+            .with_cylinder((modelled && random.random_bool(0.9)).then_some(model))
     };
     Recording { frames: (0..frames).map(frame).collect() }
 }

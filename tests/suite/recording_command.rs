@@ -11,11 +11,12 @@ use std::f64::consts::TAU;
 /// A circle of radius 5 mm seen from its middle, 0.5 mm and 0.1 s further on in each of 60 frames.
 fn some_recording() -> Recording {
     let ray = |j: i32| DVec2::from_angle(f64::from(j) / 20.0 * TAU) * 5.0;
-    let frame = |k: i32| Frame {
-        world_from_sensor: Pose { translation_mm: DVec3::Z * (f64::from(k) * 0.5), ..Pose::IDENTITY },
-        time_s: Some(f64::from(k) * 0.1),
-        contour_mm: (0..20).map(ray).collect(),
-        cylinder: None,
+    let frame = |k: i32| {
+        Frame::new(
+            Pose { translation_mm: DVec3::Z * (f64::from(k) * 0.5), ..Pose::IDENTITY },
+            (0..20).map(ray).collect(),
+        )
+        .with_time_s(Some(f64::from(k) * 0.1))
     };
     Recording { frames: (0..60).map(frame).collect() }
 }

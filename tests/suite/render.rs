@@ -10,7 +10,7 @@ fn mesh() -> Surface {
 }
 
 fn front() -> Style {
-    Style { view: View::Front, size: [400, 500], ..Style::default() }
+    Style::default().with_view(View::Front).with_size([400, 500])
 }
 
 fn pixel(picture: &Picture, x: u32, y: u32) -> [u8; 3] {
@@ -46,7 +46,7 @@ fn values_have_their_colours_and_missing_ones_are_grey() {
     let values = |surface: &Surface, low: f64, high: f64| {
         surface.nodes_mm.iter().map(|p| if p.z > 0.0 { high } else { low }).collect()
     };
-    let style = Style { array: Some("error_mm".into()), range: Some([0.0, 1.0]), ..front() };
+    let style = front().with_array(Some("error_mm".into())).with_range(Some([0.0, 1.0]));
     let shown = |surface: &Surface| {
         let picture = render(surface, &style).unwrap();
         let middle = (picture.width - 90) / 2;
@@ -78,9 +78,9 @@ fn the_inside_is_darker_than_the_outside() {
 fn the_file_holds_the_picture_and_is_the_same_every_time() {
     let folder = tempfile::tempdir().unwrap();
     let (one, two) = (folder.path().join("one.png"), folder.path().join("two.png"));
-    let picture = render(&mesh(), &Style { size: [640, 480], ..Style::default() }).unwrap();
+    let picture = render(&mesh(), &Style::default().with_size([640, 480])).unwrap();
     picture.write(&one).unwrap();
-    render(&mesh(), &Style { size: [640, 480], ..Style::default() }).unwrap().write(&two).unwrap();
+    render(&mesh(), &Style::default().with_size([640, 480])).unwrap().write(&two).unwrap();
     assert_eq!(std::fs::read(&one).unwrap(), std::fs::read(&two).unwrap());
     let file = std::io::BufReader::new(std::fs::File::open(&one).unwrap());
     let mut reader = png::Decoder::new(file).read_info().unwrap();
@@ -95,12 +95,12 @@ fn what_cannot_be_drawn_is_refused_with_a_reason() {
     let mut surface = mesh();
     surface.set_array("error_mm", vec![f64::NAN; surface.nodes_mm.len()]);
     let message = |style: Style| render(&surface, &style).unwrap_err().to_string();
-    let with_array = |name: &str| Style { array: Some(name.into()), ..front() };
+    let with_array = |name: &str| front().with_array(Some(name.into()));
     assert!(message(with_array("eror_mm")).contains("expected one of error_mm"));
     assert!(message(with_array("error_mm")).contains("no finite value"));
-    assert!(message(Style { size: [10, 500], ..front() }).contains("10x500"));
+    assert!(message(front().with_size([10, 500])).contains("10x500"));
     surface.set_array("error_mm", vec![1.0; surface.nodes_mm.len()]);
-    let backwards = Style { range: Some([2.0, 1.0]), ..with_array("error_mm") };
+    let backwards = with_array("error_mm").with_range(Some([2.0, 1.0]));
     assert!(render(&surface, &backwards).unwrap_err().to_string().contains("the smaller first"));
     surface.nodes_mm[3].x = f64::NAN;
     assert!(render(&surface, &front()).unwrap_err().to_string().contains("finite coordinates"));

@@ -18,20 +18,18 @@ fn phantom(name: &str) -> SimulatedVessel {
 
 /// A run in which the tip rests, so that every frame has the same truth.
 fn resting(noise: Noise) -> SimulationSettings {
-    SimulationSettings {
-        insertion: Insertion {
-            start_mm: 40.0,
-            moves: vec![Move::Rest { duration_s: 100.0 }],
-            repeat: false,
-            ..Insertion::default()
-        },
-        noise,
-        ..SimulationSettings::default()
-    }
+    SimulationSettings::default()
+        .with_insertion(
+            Insertion::default()
+                .with_start_mm(40.0)
+                .with_moves(vec![Move::Rest { duration_s: 100.0 }])
+                .with_repeat(false),
+        )
+        .with_noise(noise)
 }
 
 fn noise_free(insertion: Insertion) -> SimulationSettings {
-    SimulationSettings { insertion, noise: Noise::none(), ..SimulationSettings::default() }
+    SimulationSettings::default().with_insertion(insertion).with_noise(Noise::none())
 }
 
 fn pairs(simulation: &Simulation) -> impl Iterator<Item = (&Frame, &Frame)> {
@@ -79,7 +77,7 @@ fn the_comparer_of_spreads_tells_one_from_another() {
 
 #[test]
 fn noise_has_the_spread_that_was_asked_for() {
-    let noise = Noise { position_sd_mm: 0.4, rotation_sd_deg: 0.7, contour_sd_mm: 0.2, ..Noise::default() };
+    let noise = Noise::default().with_position_sd_mm(0.4).with_rotation_sd_deg(0.7).with_contour_sd_mm(0.2);
     let simulation = Simulation::run(phantom("aorta"), &resting(noise)).unwrap();
     assert!(drawn_with_sd(&position_errors(&simulation), 0.4));
     assert!(drawn_with_sd(&rotation_errors_deg(&simulation), 0.7));
@@ -97,7 +95,7 @@ fn noise_has_the_spread_that_was_asked_for() {
 
 #[test]
 fn radial_noise_stays_on_its_ray() {
-    let noise = Noise { contour: ContourNoise::Radial, ..Noise::default() };
+    let noise = Noise::default().with_contour(ContourNoise::Radial);
     let simulation = Simulation::run(phantom("cylinder"), &resting(noise)).unwrap();
     let mut radial = Vec::new();
     for (seen, truth) in pairs(&simulation) {
@@ -112,7 +110,7 @@ fn radial_noise_stays_on_its_ray() {
 #[test]
 fn echoes_drop_out_and_spike_as_often_as_asked_for() {
     let noise =
-        Noise { contour_sd_mm: 0.0, dropout_probability: 0.1, spike_probability: 0.05, ..Noise::default() };
+        Noise::default().with_contour_sd_mm(0.0).with_dropout_probability(0.1).with_spike_probability(0.05);
     let simulation = Simulation::run(phantom("cylinder"), &resting(noise)).unwrap();
     let (mut rays, mut missing, mut spikes) = (0, 0, 0);
     for (seen, truth) in pairs(&simulation) {
@@ -135,8 +133,8 @@ fn echoes_drop_out_and_spike_as_often_as_asked_for() {
 fn drift_grows_with_the_root_of_time() {
     let (vessel, mut ends) = (phantom("cylinder"), Vec::new());
     for seed in 0..60 {
-        let noise = Noise { seed, position_drift_mm_per_sqrt_s: 0.1, ..Noise::none() };
-        let settings = SimulationSettings { probe: Probe { rays: 1, ..Probe::default() }, ..resting(noise) };
+        let noise = Noise::none().with_seed(seed).with_position_drift_mm_per_sqrt_s(0.1);
+        let settings = resting(noise).with_probe(Probe::default().with_rays(1));
         let errors = position_errors(&Simulation::run(vessel.clone(), &settings).unwrap());
         assert_eq!(errors[..3], [0.0; 3], "the walk starts at the truth");
         ends.extend_from_slice(&errors[errors.len() - 3..]);
@@ -147,9 +145,8 @@ fn drift_grows_with_the_root_of_time() {
 
 #[test]
 fn latency_shifts_the_poses_back_along_the_way() {
-    let noise = Noise { latency_s: 0.25, ..Noise::none() };
-    let settings =
-        SimulationSettings { insertion: Insertion::steady(), noise, ..SimulationSettings::default() };
+    let noise = Noise::none().with_latency_s(0.25);
+    let settings = SimulationSettings::default().with_insertion(Insertion::steady()).with_noise(noise);
     let simulation = Simulation::run(phantom("cylinder"), &settings).unwrap();
     // 0.25 s are 0.6 mm at 2.4 mm/s, and 3 frames at 12 Hz.
     for (k, (seen, truth)) in pairs(&simulation).enumerate().skip(3) {
@@ -161,7 +158,7 @@ fn latency_shifts_the_poses_back_along_the_way() {
 
 #[test]
 fn a_pulsating_cylinder_widens_by_the_fraction_asked_for() {
-    let noise = Noise { pulsation_fraction: 0.1, pulsation_rate_hz: 1.0, ..Noise::none() };
+    let noise = Noise::none().with_pulsation_fraction(0.1).with_pulsation_rate_hz(1.0);
     let simulation = Simulation::run(phantom("cylinder"), &resting(noise)).unwrap();
     let ratio = |k: usize| {
         let (seen, truth) = pairs(&simulation).nth(k).unwrap();
@@ -176,8 +173,8 @@ fn a_pulsating_cylinder_widens_by_the_fraction_asked_for() {
 #[test]
 fn a_bent_tip_stays_inside_when_the_vessel_narrows() {
     let shape = Shape::Cylinder { radius_mm: 6.0, length_mm: 60.0 };
-    let noise = Noise { pulsation_fraction: 0.4, ..Noise::none() };
-    let settings = SimulationSettings { noise, ..SimulationSettings::default() };
+    let noise = Noise::none().with_pulsation_fraction(0.4);
+    let settings = SimulationSettings::default().with_noise(noise);
     let simulation = Simulation::run(Phantom::from(shape).vessel().unwrap(), &settings).unwrap();
     assert!(!simulation.reduced_bends.is_empty());
     for (k, frame) in simulation.recording.frames.iter().enumerate() {
@@ -190,9 +187,11 @@ fn a_bent_tip_stays_inside_when_the_vessel_narrows() {
 #[test]
 fn the_number_of_threads_changes_nothing_and_the_seed_does() {
     let run = |threads: usize, seed: u64| {
-        let noise =
-            Noise { seed, dropout_probability: 0.02, position_drift_mm_per_sqrt_s: 0.1, ..Noise::default() };
-        let settings = SimulationSettings { noise, cylinders: true, ..SimulationSettings::default() };
+        let noise = Noise::default()
+            .with_seed(seed)
+            .with_dropout_probability(0.02)
+            .with_position_drift_mm_per_sqrt_s(0.1);
+        let settings = SimulationSettings::default().with_noise(noise).with_cylinders(true);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| Simulation::run(phantom("arch"), &settings).unwrap().recording)
     };
@@ -205,7 +204,7 @@ fn the_number_of_threads_changes_nothing_and_the_seed_does() {
 #[test]
 fn switching_one_fault_on_leaves_the_others_as_they_are() {
     let plain = Simulation::run(phantom("cylinder"), &resting(Noise::default())).unwrap();
-    let noise = Noise { dropout_probability: 0.3, cylinder_radius_sd_mm: 1.0, ..Noise::default() };
+    let noise = Noise::default().with_dropout_probability(0.3).with_cylinder_radius_sd_mm(1.0);
     let dropped = Simulation::run(phantom("cylinder"), &resting(noise)).unwrap();
     for (a, b) in plain.recording.frames.iter().zip(&dropped.recording.frames) {
         assert_eq!(a.world_from_sensor, b.world_from_sensor);
@@ -292,7 +291,7 @@ fn withdrawing_goes_back_to_the_start_and_rest_stays() {
         Move::Rest { duration_s: 1.0 },
         Move::Withdraw { distance_mm: 24.0 },
     ];
-    let insertion = Insertion { moves, repeat: false, ..Insertion::default() };
+    let insertion = Insertion::default().with_moves(moves).with_repeat(false);
     let frames = Simulation::run(phantom("arch"), &noise_free(insertion)).unwrap().recording.frames;
     let at = |k: usize| frames[k].world_from_sensor.translation_mm;
     assert_eq!(frames.len(), 120 + 12 + 120 + 1);
@@ -303,7 +302,7 @@ fn withdrawing_goes_back_to_the_start_and_rest_stays() {
 
 #[test]
 fn simulated_cylinders_are_the_phantom() {
-    let settings = SimulationSettings { cylinders: true, ..noise_free(Insertion::default()) };
+    let settings = noise_free(Insertion::default()).with_cylinders(true);
     let frames = Simulation::run(phantom("cylinder"), &settings).unwrap().recording.frames;
     for frame in &frames {
         let model = frame.cylinder.expect("a cylinder");
@@ -390,17 +389,17 @@ fn vessels_that_cannot_be_used_are_refused_with_a_reason() {
 #[test]
 fn settings_out_of_range_are_refused_by_name() {
     let message = |s: SimulationSettings| Simulation::run(phantom("cylinder"), &s).unwrap_err().to_string();
-    let noise = |noise: Noise| message(SimulationSettings { noise, ..SimulationSettings::default() });
+    let noise = |noise: Noise| message(SimulationSettings::default().with_noise(noise));
     let insertion = |insertion: Insertion| message(noise_free(insertion));
     let usual = Insertion::default;
-    assert!(noise(Noise { contour_sd_mm: f64::NAN, ..Noise::none() }).contains("noise.contour_sd_mm"));
-    assert!(noise(Noise { dropout_probability: 1.5, ..Noise::none() }).contains("noise.dropout_probability"));
-    assert!(insertion(Insertion { branch: 3, ..usual() }).contains("insertion.branch: found 3"));
-    assert!(insertion(Insertion { start_mm: 500.0, ..usual() }).contains("100.0 mm"));
-    assert!(insertion(Insertion { moves: vec![], ..usual() }).contains("insertion.moves"));
+    assert!(noise(Noise::none().with_contour_sd_mm(f64::NAN)).contains("noise.contour_sd_mm"));
+    assert!(noise(Noise::none().with_dropout_probability(1.5)).contains("noise.dropout_probability"));
+    assert!(insertion(usual().with_branch(3)).contains("insertion.branch: found 3"));
+    assert!(insertion(usual().with_start_mm(500.0)).contains("100.0 mm"));
+    assert!(insertion(usual().with_moves(vec![])).contains("insertion.moves"));
     let backwards = vec![Move::Advance { distance_mm: 5.0 }, Move::Withdraw { distance_mm: 6.0 }];
-    assert!(insertion(Insertion { moves: backwards, ..usual() }).contains("-1 mm forward"));
-    assert!(insertion(Insertion { clearance_mm: 20.0, ..usual() }).contains("catheter tip at 5.0 mm"));
+    assert!(insertion(usual().with_moves(backwards)).contains("-1 mm forward"));
+    assert!(insertion(usual().with_clearance_mm(20.0)).contains("catheter tip at 5.0 mm"));
 }
 
 #[test]
@@ -434,7 +433,7 @@ fn every_shared_vessel_can_be_simulated_in() {
         let vessel = SimulatedVessel::new(Surface::read(&surface).unwrap(), branches).unwrap();
         assert_eq!(vessel.notes(), [] as [&str; 0], "{name}: these surfaces are sound");
         for branch in 0..vessel.branches().len() {
-            let settings = noise_free(Insertion { branch, frame_rate_hz: 2.0, ..Insertion::default() });
+            let settings = noise_free(Insertion::default().with_branch(branch).with_frame_rate_hz(2.0));
             let simulation = Simulation::run(vessel.clone(), &settings).unwrap();
             let frame = &simulation.recording.frames[simulation.recording.frames.len() / 2];
             for p in frame.echoes_mm() {

@@ -328,15 +328,9 @@ fn the_topology_of_known_shapes() {
     assert!(closed.is_closed() && closed.is_oriented_manifold());
 
     let open = tube(12, 5, 10.0, 10.0).topology();
-    let expected = Topology {
-        nodes: 72,
-        edges: 192,
-        triangles: 120,
-        boundary_edges: 24,
-        boundary_loops: 2,
-        components: 1,
-        ..Topology::default()
-    };
+    let mut expected = Topology::default();
+    (expected.nodes, expected.edges, expected.triangles) = (72, 192, 120);
+    (expected.boundary_edges, expected.boundary_loops, expected.components) = (24, 2, 1);
     assert_eq!(open, expected);
 }
 

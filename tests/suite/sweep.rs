@@ -35,12 +35,7 @@ fn round_wall(radius: impl Fn(f64) -> f64, length_mm: f64, tilt_rad: f64) -> Rec
             }
             direction * low
         });
-        Frame {
-            world_from_sensor: Pose { rotation, translation_mm: position },
-            time_s: None,
-            contour_mm: contour_mm.collect(),
-            cylinder: None,
-        }
+        Frame::new(Pose { rotation, translation_mm: position }, contour_mm.collect())
     });
     Recording { frames: frames.collect() }
 }
@@ -113,8 +108,8 @@ fn a_catheter_that_rests_tilted_does_not_lift_the_wall() {
 #[test]
 fn a_catheter_that_stops_circles_and_goes_back_draws_the_same_vessel() {
     let advance = |distance_mm| Move::Advance { distance_mm };
-    let insertion = Insertion {
-        moves: vec![
+    let insertion = Insertion::default()
+        .with_moves(vec![
             advance(30.0),
             Move::Rest { duration_s: 20.0 },
             Move::Bend { angle_deg: 25.0 },
@@ -123,19 +118,14 @@ fn a_catheter_that_stops_circles_and_goes_back_draws_the_same_vessel() {
             Move::Withdraw { distance_mm: 15.0 },
             advance(45.0),
             Move::Withdraw { distance_mm: 50.0 },
-        ],
-        repeat: false,
-        ..Insertion::default()
-    };
-    let noise = Noise {
-        contour: ContourNoise::Radial,
-        contour_sd_mm: 0.6,
-        dropout_probability: 0.1,
-        spike_probability: 0.03,
-        ..Noise::default()
-    };
-    let settings =
-        simulate::SimulationSettings { insertion, noise, ..simulate::SimulationSettings::default() };
+        ])
+        .with_repeat(false);
+    let noise = Noise::default()
+        .with_contour(ContourNoise::Radial)
+        .with_contour_sd_mm(0.6)
+        .with_dropout_probability(0.1)
+        .with_spike_probability(0.03);
+    let settings = simulate::SimulationSettings::default().with_insertion(insertion).with_noise(noise);
     let simulation = simulated("arch", &settings);
     let sweep = swept(&simulation.recording);
     let (mean, _, largest) = errors_mm(&sweep.surface(false), simulation.vessel.surface());
@@ -147,25 +137,12 @@ fn a_catheter_that_stops_circles_and_goes_back_draws_the_same_vessel() {
 fn a_narrow_bent_vessel_is_found_in_spikes_and_in_noise() {
     // A lumen of 4.5 mm about a bend of 12 mm; a spike is up to 30 mm long. Centroids of the raw contours lie up to a
     // radius beside the lumen, and the axis then leaves the vessel at its ends: 0.39 mm and 0.14 mm.
-    let spiky = Noise { dropout_probability: 0.5, spike_probability: 0.1, ..Noise::default() };
-    let dense = simulate::Probe { rays: 360, ..simulate::Probe::default() };
+    let spiky = Noise::default().with_dropout_probability(0.5).with_spike_probability(0.1);
+    let dense = simulate::Probe::default().with_rays(360);
     let steady = Insertion::steady();
     for (settings, most) in [
-        (
-            simulate::SimulationSettings {
-                noise: Noise { seed: 11, ..spiky },
-                ..simulate::SimulationSettings::default()
-            },
-            0.15,
-        ),
-        (
-            simulate::SimulationSettings {
-                probe: dense,
-                insertion: steady,
-                ..simulate::SimulationSettings::default()
-            },
-            0.1,
-        ),
+        (simulate::SimulationSettings::default().with_noise(spiky.with_seed(11)), 0.15),
+        (simulate::SimulationSettings::default().with_probe(dense).with_insertion(steady), 0.1),
     ] {
         let simulation = simulated("small_arch", &settings);
         let (mean, _, largest) = errors_mm(&surface(&simulation.recording), simulation.vessel.surface());
@@ -175,10 +152,7 @@ fn a_narrow_bent_vessel_is_found_in_spikes_and_in_noise() {
 
 #[test]
 fn the_order_of_frames_hardly_matters_and_the_number_of_threads_not_at_all() {
-    let settings = simulate::SimulationSettings {
-        insertion: Insertion::steady(),
-        ..simulate::SimulationSettings::default()
-    };
+    let settings = simulate::SimulationSettings::default().with_insertion(Insertion::steady());
     let recording = simulated("arch", &settings).recording;
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let five = rayon::ThreadPoolBuilder::new().num_threads(5).build().unwrap();
@@ -195,10 +169,7 @@ fn the_order_of_frames_hardly_matters_and_the_number_of_threads_not_at_all() {
 
 #[test]
 fn no_wall_is_invented_ahead_of_the_probe() {
-    let settings = simulate::SimulationSettings {
-        insertion: Insertion::steady(),
-        ..simulate::SimulationSettings::default()
-    };
+    let settings = simulate::SimulationSettings::default().with_insertion(Insertion::steady());
     let simulation = simulated("aorta", &settings);
     let sweep = swept(&simulation.recording);
     let surface = sweep.surface(false);
@@ -291,12 +262,12 @@ fn small_and_odd_recordings_give_finite_surfaces_or_errors() {
         odd.push(full.frames[..count].to_vec());
     }
     for keep in [1, 2, 3, 5] {
-        let few = |f: &Frame| Frame { contour_mm: f.contour_mm[..keep].to_vec(), ..f.clone() };
+        let few = |f: &Frame| f.clone().with_contour_mm(f.contour_mm[..keep].to_vec());
         odd.push(full.frames.iter().map(few).collect());
         let patchy = |f: &Frame| {
             let missing = |i: usize| i % 16 >= keep;
             let ray = |(i, p): (usize, &DVec2)| if missing(i) { DVec2::NAN } else { *p };
-            Frame { contour_mm: f.contour_mm.iter().enumerate().map(ray).collect(), ..f.clone() }
+            f.clone().with_contour_mm(f.contour_mm.iter().enumerate().map(ray).collect())
         };
         odd.push(full.frames.iter().map(patchy).collect());
     }

@@ -8,19 +8,16 @@ use lumenmesh::sweep::{Sweep, Tracker};
 
 /// The thesis's sequence of moves through a phantom.
 fn simulated(shape: &str, noise: Noise) -> Simulation {
-    vessel::simulated(
-        shape,
-        &simulate::SimulationSettings { noise, ..simulate::SimulationSettings::default() },
-    )
+    vessel::simulated(shape, &simulate::SimulationSettings::default().with_noise(noise))
 }
 
 /// A tracker three times as noisy as the thesis's.
 fn noisy_tracker(seed: u64) -> Noise {
-    Noise { seed, position_sd_mm: 1.0, rotation_sd_deg: 1.0, ..Noise::default() }
+    Noise::default().with_seed(seed).with_position_sd_mm(1.0).with_rotation_sd_deg(1.0)
 }
 
 fn late(latency_s: f64) -> Noise {
-    Noise { seed: 7, latency_s, ..Noise::default() }
+    Noise::default().with_seed(7).with_latency_s(latency_s)
 }
 
 fn poses() -> SweepSettings {
@@ -66,7 +63,7 @@ fn a_noisy_tracker_is_corrected() {
 
 #[test]
 fn a_perfect_tracker_is_left_alone() {
-    let noise = Noise { position_sd_mm: 0.0, rotation_sd_deg: 0.0, ..Noise::default() };
+    let noise = Noise::default().with_position_sd_mm(0.0).with_rotation_sd_deg(0.0);
     let simulation = simulated("arch", noise);
     let (plain, _) = reconstructed(&simulation, SweepSettings::default());
     let (corrected, tracker) = reconstructed(&simulation, poses());
@@ -107,11 +104,8 @@ fn no_offset_is_made_up() {
 #[test]
 fn a_steady_pullback_shows_no_offset() {
     // Every pose is as much behind as the others: the vessel is shifted along itself, and still smooth.
-    let settings = simulate::SimulationSettings {
-        insertion: Insertion::steady(),
-        noise: late(0.3),
-        ..simulate::SimulationSettings::default()
-    };
+    let settings =
+        simulate::SimulationSettings::default().with_insertion(Insertion::steady()).with_noise(late(0.3));
     let simulation = vessel::simulated("aorta", &settings);
     let tracker = reconstructed(&simulation, offset()).1.unwrap();
     assert!(!tracker.offset_corrected, "{tracker:?}");
@@ -156,7 +150,7 @@ fn odd_recordings_give_finite_walls() {
     still.frames.truncate(40);
     still.frames.extend((0..40).map(|k| {
         let time_s = Some(1000.0 + f64::from(k));
-        lumenmesh::recording::Frame { time_s, ..first.clone() }
+        first.clone().with_time_s(time_s)
     }));
     for recording in [few(40), few(200), blind, far, still] {
         let both = poses().with_estimate_offset(true);

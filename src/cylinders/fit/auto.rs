@@ -81,7 +81,9 @@ impl AutoEngine {
         if let Some(device) = device.as_ref().filter(|d| d.adapter.as_deref() == adapter) {
             return device.engine.clone();
         }
-        let engine = engine::start(adapter, super::gpu::GpuEngine::new).map(std::sync::Arc::new);
+        let engine = engine::start(adapter, super::gpu::GpuEngine::new)
+            .map(std::sync::Arc::new)
+            .map_err(|reason| reason.to_string());
         *device = Some(Device { adapter: adapter.map(str::to_owned), engine: engine.clone() });
         engine
     }

@@ -27,6 +27,7 @@ use glam::DVec3;
 
 /// The cylinders that an engine fits, and how.
 #[derive(Clone, Copy)]
+#[non_exhaustive]
 pub struct FitRequest<'a> {
     /// Where the points come from.
     pub track: &'a Track,
@@ -44,6 +45,20 @@ impl<'a> FitRequest<'a> {
     /// A request without history that reports no progress.
     pub fn new(track: &'a Track, frames: &'a [usize], settings: &'a Settings) -> Self {
         Self { track, frames, settings, history: false, progress: &|_| () }
+    }
+
+    /// Keeps the radii after every iteration, or only after the last.
+    #[must_use]
+    pub fn with_history(mut self, history: bool) -> Self {
+        self.history = history;
+        self
+    }
+
+    /// Calls `progress` with the number of cylinders finished since the last call.
+    #[must_use]
+    pub fn with_progress(mut self, progress: &'a (dyn Fn(usize) + Sync)) -> Self {
+        self.progress = progress;
+        self
     }
 }
 
@@ -130,6 +145,7 @@ pub struct SectionFit {
 
 /// A tube after its fit.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct DeformedTube {
     /// Its topology.
     pub tube: Tube,
@@ -153,8 +169,28 @@ pub struct DeformedTube {
     pub rejected: u64,
 }
 
+impl DeformedTube {
+    /// A tube that no point has deformed: every radius is that of the primitive.
+    pub fn primitive(tube: Tube, radius_mm: f64) -> Self {
+        let nodes = tube.node_count();
+        Self {
+            tube,
+            radius_mm,
+            radii_mm: vec![radius_mm; nodes],
+            history_mm: Vec::new(),
+            travel_mm: Vec::new(),
+            support: vec![0; nodes],
+            residual_mm: vec![f64::NAN; nodes],
+            points: 0,
+            gated: 0,
+            rejected: 0,
+        }
+    }
+}
+
 /// The deformed cylinder of a frame.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct FittedCylinder {
     /// The frame (0-based).
     pub frame: usize,
@@ -165,6 +201,11 @@ pub struct FittedCylinder {
 }
 
 impl FittedCylinder {
+    /// A tube, placed in the world.
+    pub fn new(frame: usize, world_from_cylinder: Pose, tube: DeformedTube) -> Self {
+        Self { frame, world_from_cylinder, tube }
+    }
+
     /// Node positions in the world, mm, for the given radii: ring after ring.
     pub fn nodes_mm<'a>(&'a self, radii_mm: &'a [f64]) -> impl Iterator<Item = DVec3> + 'a {
         let tube = &self.tube.tube;

@@ -14,6 +14,7 @@ use std::ops::Range;
 
 /// A ring of a vessel.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct VesselRing {
     /// The frame whose cylinder it came from; the last one where several were blended.
     pub frame: usize,
@@ -27,6 +28,7 @@ pub struct VesselRing {
 
 /// One vessel, as a stack of rings with the same number of nodes each.
 #[derive(Debug, Clone, Default, PartialEq)]
+#[non_exhaustive]
 pub struct MergedVessel {
     /// The rings, in the order of the vessel.
     pub rings: Vec<VesselRing>,

@@ -10,6 +10,7 @@
 mod canvas;
 mod scale;
 
+use crate::settings::setters;
 use crate::surface::Surface;
 use crate::{Error, Result, output};
 use canvas::{Canvas, Colour, Sheet};
@@ -35,6 +36,7 @@ pub enum View {
 
 /// Style of a picture of a mesh.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Style {
     /// The array to show in colours; the bare mesh where absent.
     pub array: Option<String>,
@@ -46,6 +48,13 @@ pub struct Style {
     /// Width and height, 320 to 4096 pixels each.
     pub size: [u32; 2],
 }
+
+setters!(Style {
+    with_array => array: Option<String>,
+    with_range => range: Option<[f64; 2]>,
+    with_view => view: View,
+    with_size => size: [u32; 2],
+});
 
 impl Default for Style {
     fn default() -> Self {

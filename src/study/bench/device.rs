@@ -10,6 +10,7 @@ use crate::settings::Settings;
 use std::collections::BTreeMap;
 
 /// A device to be timed.
+#[non_exhaustive]
 pub struct Device {
     /// The engine, its pipelines built.
     pub engine: GpuEngine,
@@ -28,7 +29,7 @@ impl Device {
         let start = std::time::Instant::now();
         let engine = GpuEngine::new(adapter)?;
         let small = Section { r: vec![RADIUS_MM as f32], theta: vec![0.0], z: vec![0.0], gated: 0 };
-        engine.fit_section(&small, RADIUS_MM, &Settings::default())?.tube;
+        engine.fit_section(&small, RADIUS_MM, &Settings::default())?;
         let cold_start_s = start.elapsed().as_secs_f64();
         engine.warm_up()?;
         let mut device = Self { engine, copy_bytes_per_s: 0.0, cold_start_s };

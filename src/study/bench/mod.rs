@@ -38,6 +38,7 @@ pub enum PointPattern {
 
 /// One size of work: `512x512x1e6`, optionally `:crowded` or `:half`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Case {
     /// N.
     pub nodes: u32,
@@ -123,6 +124,7 @@ impl Case {
 
 /// Some times in ms.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Times {
     /// Median.
     pub median_ms: f64,
@@ -157,6 +159,7 @@ impl Times {
 
 /// Times of a case on the CPU.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct CpuRow {
     /// The whole fit on one thread.
     pub one_thread: Times,
@@ -168,6 +171,7 @@ pub struct CpuRow {
 
 /// Times of a case on the device.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct DeviceRow {
     /// From host slices to the tube.
     pub end_to_end: Times,
@@ -183,6 +187,7 @@ pub struct DeviceRow {
 
 /// A pass over a whole fit.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct PassRow {
     /// The pass.
     pub name: &'static str,
@@ -198,6 +203,7 @@ pub struct PassRow {
 
 /// A case on all engines.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct BenchRow {
     /// The case.
     pub case: Case,
@@ -212,6 +218,7 @@ pub struct BenchRow {
 
 /// Differences between two engines' results.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct Parity {
     /// The two engines.
     pub engines: [String; 2],

@@ -20,6 +20,7 @@ const MAX_RAYS: usize = 512;
 
 /// One size of a sweep: `512x1e6`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct SweepCase {
     /// N: nodes per ring.
     pub nodes: u32,
@@ -85,6 +86,7 @@ impl SweepCase {
 
 /// Times of fitting a wall.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct SweepRow {
     /// The case.
     pub case: SweepCase,
@@ -103,6 +105,7 @@ pub struct SweepRow {
 
 /// Times of fitting a wall on a device.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct SweepDeviceRow {
     /// The whole fit.
     pub fit: Times,
@@ -114,6 +117,7 @@ pub struct SweepDeviceRow {
 
 /// A pass over a whole fit.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct SweepPassRow {
     /// The pass.
     pub name: &'static str,

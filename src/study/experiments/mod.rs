@@ -39,6 +39,7 @@ pub const DEFINITIONS: [(&str, &str); 5] = [
 
 /// The plan of the experiments.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Plan {
     /// What to call the vessel.
     pub vessel_name: String,
@@ -75,6 +76,7 @@ impl Plan {
 
 /// Every number of the experiments.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Experiments {
     /// The crate's version.
     pub version: &'static str,
@@ -100,6 +102,7 @@ pub struct Experiments {
 
 /// The vessel of the experiments.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct VesselFacts {
     /// What it is called.
     pub name: String,
@@ -115,6 +118,7 @@ pub struct VesselFacts {
 
 /// The thesis's numbers, as far as they are at hand.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Thesis {
     /// [`thesis::TABLE_4_MEDIAN_MM`].
     pub table_4_median_mm: [f64; 4],
@@ -124,6 +128,7 @@ pub struct Thesis {
 
 /// The results.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Outcome {
     /// The numbers. The same plan and vessel give the same ones, whatever the number of threads.
     pub experiments: Experiments,
@@ -137,6 +142,7 @@ pub struct Outcome {
 
 /// Wall-clock times, s.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Seconds {
     /// Simulating the insertion.
     pub simulate: f64,

@@ -9,6 +9,7 @@ use std::f64::consts::{PI, TAU};
 
 /// How a tube approaches a wall of revolution about its own axis, iteration by iteration.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Convergence {
     /// Radius of the tube before the fit, mm.
     pub primitive_radius_mm: f64,
@@ -26,6 +27,7 @@ pub struct Convergence {
 
 /// A tube after some iterations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Iteration {
     /// Mean distance of the nodes to the wall, mm: the fitting error.
     pub mean_mm: f64,

@@ -13,6 +13,7 @@ use serde::Serialize;
 
 /// The fitting errors of one recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Series {
     /// Frames of the recording.
     pub frames: usize,
@@ -34,6 +35,7 @@ pub struct Series {
 
 /// Cylinders merged into one mesh.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Merged {
     /// Rings of the mesh.
     pub rings: usize,
@@ -51,6 +53,7 @@ pub struct Merged {
 
 /// Distribution of some numbers, mm. Quartiles by nearest rank.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[non_exhaustive]
 pub struct Spread {
     /// How many.
     pub count: usize,

@@ -10,6 +10,7 @@ use std::f64::consts::TAU;
 /// Between two rings, plane, origin and axes are interpolated linearly. Coordinates about the axis are therefore one-to-one
 /// and continuous wherever the wall is nearer to the axis than the axis's centre of curvature.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Axis {
     /// Origins of the rings, mm.
     pub points_mm: Vec<DVec3>,

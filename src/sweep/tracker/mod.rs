@@ -20,6 +20,7 @@ use serde::Serialize;
 
 /// The estimated errors of the tracker, and the part of them that was corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[non_exhaustive]
 pub struct Tracker {
     /// Standard deviation of a pose's shift along each axis, mm; a rotation of as many degrees belongs to it.
     pub noise_mm: f64,

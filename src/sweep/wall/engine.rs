@@ -52,7 +52,7 @@ pub(in crate::sweep) fn fit(
             }
             #[cfg(feature = "gpu")]
             let why = match crate::engine::start(settings.adapter.as_deref(), GpuWallEngine::new) {
-                Err(why) => why,
+                Err(reason) => reason.to_string(),
                 Ok(engine) => match fit_on_device(grid, echoes, settings, &engine) {
                     Ok(wall) => {
                         let why = format!("the work is about {cpu_seconds:.1} s on the CPU");

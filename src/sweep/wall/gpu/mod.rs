@@ -8,7 +8,7 @@ pub use workspace::WallWorkspace;
 
 use crate::Result;
 use crate::engine::EngineDescription;
-use crate::gpu::{AdapterDescription, Context, GpuError, Runner};
+use crate::gpu::{AdapterDescription, Context, GpuError, PassTimes, Runner};
 use crate::numerics::banded::Dissected;
 use crate::recording::echo_error::OUT_OF_PLANE;
 use crate::sweep::prepare::{echo, grid::WallGrid};
@@ -83,7 +83,7 @@ impl GpuWallEngine {
     ///
     /// # Errors
     /// The work's.
-    pub fn timed<R>(&self, work: impl FnOnce(&Self) -> Result<R>) -> Result<(R, Vec<(&'static str, f64)>)> {
+    pub fn timed<R>(&self, work: impl FnOnce(&Self) -> Result<R>) -> Result<(R, PassTimes)> {
         self.runner.timed(|| work(self))
     }
 
