@@ -5,7 +5,7 @@
 //! use lumenmesh::settings::Settings;
 //! # use lumenmesh::simulate::{self, Insertion, Phantom, Shape, Simulation};
 //! # let vessel = Phantom::from("cylinder".parse::<Shape>()?).vessel()?;
-//! # let settings = simulate::SimulationSettings { insertion: Insertion::steady(), ..Default::default() };
+//! # let settings = simulate::SimulationSettings::default().with_insertion(Insertion::steady());
 //! # let frames = Simulation::run(vessel, &settings)?.recording.frames;
 //!
 //! let mut live = Live::new(&Settings::default())?;
@@ -138,7 +138,7 @@ impl Live {
         }
     }
 
-    /// Nodes a ring; 0 as long as there is no ring.
+    /// Nodes per ring; 0 as long as there is no ring.
     pub fn nodes(&self) -> usize {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => {

@@ -81,7 +81,7 @@ const Y_MARKS: usize = 7;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
-type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
+type PlotResult = std::result::Result<(), Box<dyn std::error::Error>>;
 
 /// Lines or dots over two axes. The y axis starts at 0 where no value is negative.
 ///
@@ -180,7 +180,7 @@ pub fn violins(y_label: &str, violins: &[Violin]) -> Result<String> {
     })
 }
 
-fn svg(room: Room, draw: impl FnOnce(&Area) -> Drawn) -> Result<String> {
+fn svg(room: Room, draw: impl FnOnce(&Area) -> PlotResult) -> Result<String> {
     let mut text = String::new();
     let (width, height, _) = room.size();
     let drawn = {
@@ -243,7 +243,7 @@ fn legend<'a>(
     root: &Area,
     lines: impl Iterator<Item = &'a Line>,
     dashes: &dyn Fn(usize) -> [i32; 2],
-) -> Drawn {
+) -> PlotResult {
     const LENGTH: i32 = 34;
     const Y: i32 = 22;
     let mut left = LEFT + 8;

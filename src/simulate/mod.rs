@@ -7,7 +7,7 @@
 //! use lumenmesh::simulate::{Insertion, Phantom, SimulationSettings, Shape, Simulation};
 //!
 //! let vessel = Phantom::from("cylinder".parse::<Shape>()?).vessel()?;
-//! let settings = SimulationSettings { insertion: Insertion::steady(), ..SimulationSettings::default() };
+//! let settings = SimulationSettings::default().with_insertion(Insertion::steady());
 //! let simulation = Simulation::run(vessel, &settings)?;
 //! assert_eq!(simulation.recording.frames.len(), simulation.truth_recording.frames.len());
 //! # Ok::<(), lumenmesh::Error>(())

@@ -15,7 +15,7 @@ const TOUCH: f64 = 1.7;
 pub(in crate::sweep) const NODES_PER_RADIUS: f64 = 4.0;
 /// Bends of the centres that are shorter than this many lumen radii are left to the wall.
 const MIN_BEND_RADII: f64 = 2.0;
-/// λ of the curve: with one centre per node, a bend of the shortest wavelength loses a fifth of its amplitude.
+/// λ of the curve: with one centre per node, a bend of the shortest wavelength keeps a fifth of its amplitude.
 pub(in crate::sweep) const SMOOTHNESS: f64 = {
     let wavelength = MIN_BEND_RADII * NODES_PER_RADIUS / std::f64::consts::TAU;
     let square = wavelength * wavelength;

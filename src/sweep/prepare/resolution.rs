@@ -48,7 +48,7 @@ pub(in crate::sweep) fn resolution(
     if length_mm / step_mm * nodes as f64 > MAX_NODES {
         return Err(Error::Setting {
             name: "sweep.nodes",
-            found: format!("{nodes} a ring of {radius_mm:.3} mm radius along {length_mm:.0} mm"),
+            found: format!("{nodes} per ring of {radius_mm:.3} mm radius along {length_mm:.0} mm"),
             expected: format!("at most {MAX_NODES} in all"),
         });
     }
