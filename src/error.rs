@@ -96,6 +96,17 @@ pub enum Error {
         /// What should have been there.
         expected: String,
     },
+    /// An iterative solver met numbers that it cannot go on with.
+    #[error("{what}: found {found}, expected {expected}")]
+    #[non_exhaustive]
+    Solver {
+        /// The quantity.
+        what: &'static str,
+        /// What was there.
+        found: String,
+        /// What should have been there.
+        expected: &'static str,
+    },
     /// A surface cannot be used for what was asked.
     #[error("surface: {what}: found {found}, expected {expected}")]
     #[non_exhaustive]

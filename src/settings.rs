@@ -80,6 +80,20 @@ pub(crate) fn no_gpu_engine() -> Error {
     Error::setting("backend", "gpu", "auto, cpu or reference: this build has no GPU engine (feature `gpu`)")
 }
 
+/// What is done with frames that a [`Screening`](crate::recording::Screening) finds unfit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum UnfitFrames {
+    /// They are left out, and listed with the reason.
+    #[default]
+    LeaveOut,
+    /// The recording is refused.
+    Refuse,
+    /// They are used, unless they have a [defect](crate::recording::Frame::defects): then the recording is refused.
+    Keep,
+}
+
 /// Which distances of a triangle are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -223,6 +237,8 @@ pub struct Settings {
     pub sweep: SweepSettings,
     /// `eTi`, the probe in the tracker sensor's frame.
     pub calibration: Calibration,
+    /// What is done with frames that are unfit.
+    pub unfit_frames: UnfitFrames,
 }
 
 impl Default for Settings {
@@ -242,11 +258,13 @@ impl Default for Settings {
             merge: Merge::Stitch,
             sweep: SweepSettings::default(),
             calibration: Calibration::default(),
+            unfit_frames: UnfitFrames::default(),
         }
     }
 }
 
 setters!(Settings {
+    with_unfit_frames => unfit_frames: UnfitFrames,
     with_method => method: Method,
     with_backend => backend: Backend,
     with_adapter => adapter: Option<String>,
@@ -332,8 +350,9 @@ impl Settings {
         if let Some(nodes) = self.sweep.nodes.filter(|n| !(8..=65536).contains(n)) {
             return fail("sweep.nodes", nodes.to_string(), "8 to 65536");
         }
-        if !(self.sweep.roughness.is_finite() && self.sweep.roughness > 0.0) {
-            return fail("sweep.roughness", self.sweep.roughness.to_string(), "more than 0");
+        // Beyond, the wall is a tube or follows every echo, and f32 and f64 lose the bending beside the echoes.
+        if !(1e-6..=1e3).contains(&self.sweep.roughness) {
+            return fail("sweep.roughness", self.sweep.roughness.to_string(), "1e-6 to 1000");
         }
         if let Some(half_life_s) = self.sweep.half_life_s.filter(|s| !(1e-3..=1e9).contains(s)) {
             return fail("sweep.half_life_s", format!("{half_life_s:?}"), "0.001 to 1e9 s");
@@ -415,6 +434,14 @@ mod tests {
             ),
             (
                 Settings { sweep: SweepSettings { roughness: f64::NAN, ..SweepSettings::default() }, ..d() },
+                "sweep.roughness",
+            ),
+            (
+                Settings { sweep: SweepSettings { roughness: 1e-200, ..SweepSettings::default() }, ..d() },
+                "sweep.roughness",
+            ),
+            (
+                Settings { sweep: SweepSettings { roughness: 1e4, ..SweepSettings::default() }, ..d() },
                 "sweep.roughness",
             ),
             (

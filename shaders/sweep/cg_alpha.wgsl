@@ -8,11 +8,11 @@
 fn main(@builtin(local_invocation_index) local: u32) {
     let curvature = sum_of_partials((parameters.node_count + 255u) / 256u, local);
     if (local == 0u && state.done == 0u) {
-        if (curvature > 0.0) {
+        if (curvature > 0.0 && curvature <= MAX_F32) {
             state.alpha = state.residual_square / curvature;
             state.steps += 1u;
         } else {
-            state.done = 1u;
+            state.done = BROKEN;
         }
     }
 }

@@ -10,11 +10,13 @@ fn main(@builtin(local_invocation_index) local: u32) {
     let count = (parameters.rings * (parameters.nodes / 2u + 1u) + 255u) / 256u;
     let square = sum_of_partials(count, local);
     if (local == 0u && state.done == 0u) {
-        if (square > parameters.max_residual_square) {
+        if (square <= parameters.max_residual_square) {
+            state.done = CONVERGED;
+        } else if (square <= MAX_F32) {
             state.beta = select(0.0, square / state.residual_square, state.residual_square > 0.0);
             state.residual_square = square;
         } else {
-            state.done = 1u;
+            state.done = BROKEN;
         }
     }
 }

@@ -3,7 +3,7 @@ use super::{print_json, progress};
 use crate::cylinders::{CylindersReport, write_cylinders};
 use crate::engine::EngineDescription;
 use crate::reconstruction::{Lumen, LumenReport, Reconstructor};
-use crate::recording::Recording;
+use crate::recording::{LeftOut, Recording, Screening};
 use crate::settings::{Method, Settings};
 use crate::surface;
 use crate::sweep;
@@ -43,6 +43,7 @@ struct Output<'a> {
     recording: &'a PathBuf,
     mesh: &'a PathBuf,
     settings: &'a Settings,
+    left_out: &'a [LeftOut],
     #[serde(flatten)]
     report: LumenReport<'a>,
 }
@@ -58,7 +59,7 @@ impl Arguments {
             });
         }
         surface::check_ending(&self.output)?;
-        let recording = Recording::read(&self.recording)?;
+        let recording = Recording::read_unchecked(&self.recording)?;
         let lumen =
             lumen(&recording, &settings, self.cylinders.is_some()).map_err(|e| e.in_file(&self.recording))?;
         if let (Some(path), Some(reconstruction)) = (&self.cylinders, lumen.cylinders()) {
@@ -68,14 +69,36 @@ impl Arguments {
         let report = lumen.report();
         if self.json {
             let (recording, mesh) = (&self.recording, &self.output);
-            return print_json(&Output { recording, mesh, settings: &settings, report });
+            let left_out = &lumen.screening().left_out;
+            return print_json(&Output { recording, mesh, settings: &settings, left_out, report });
         }
         print_report(report);
+        print_left_out(lumen.screening());
         println!("mesh       {}", self.output.display());
         if let Some(path) = &self.cylinders {
             println!("cylinders  {}", path.display());
         }
         Ok(())
+    }
+}
+
+/// The frames that were left out, for people: the first ten.
+pub(super) fn print_left_out(screening: &Screening) {
+    const LISTED: usize = 10;
+    let left_out = &screening.left_out;
+    if left_out.is_empty() {
+        return;
+    }
+    println!(
+        "left out   {} of {} frames (--strict refuses them, --keep uses them)",
+        left_out.len(),
+        screening.frames
+    );
+    for LeftOut { frame, field, found, .. } in left_out.iter().take(LISTED) {
+        println!("           frame {frame}: {field}: {found}");
+    }
+    if left_out.len() > LISTED {
+        println!("           and {} more", left_out.len() - LISTED);
     }
 }
 
@@ -131,6 +154,9 @@ fn print_sweep(report: &sweep::SweepReport) {
         "vessel     {} rings, {} nodes, {} of them supported; {} iterations, {} solver steps",
         report.rings, report.nodes, report.supported, report.iterations, report.solver_steps
     );
+    if !report.converged {
+        println!("           the fit has not converged within its limit of iterations and steps");
+    }
     if let Some(tracker) = &report.tracker {
         print_tracker(tracker);
     }

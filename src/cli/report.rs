@@ -1,5 +1,5 @@
 use super::print_json;
-use super::reconstruct::{lumen, print_report};
+use super::reconstruct::{lumen, print_left_out, print_report};
 use super::settings::SettingsArguments;
 use crate::evaluate::{Coverage, Truth, evaluate_covered};
 use crate::output::{ending, write_atomically};
@@ -41,7 +41,7 @@ impl Arguments {
             let ending = ending(&self.output);
             return Err(Error::UnknownEnding { path: self.output, ending, expected: ".html" });
         }
-        let recording = Recording::read(&self.recording)?;
+        let recording = Recording::read_unchecked(&self.recording)?;
         let truth = self.truth.as_deref().map(|path| Truth::new(Surface::read(path)?)).transpose()?;
         let lumen = lumen(&recording, &settings, truth.is_some()).map_err(|e| e.in_file(&self.recording))?;
         let evaluation = truth
@@ -68,11 +68,13 @@ impl Arguments {
             return print_json(&serde_json::json!({
                 "recording": self.recording,
                 "page": self.output,
+                "left_out": lumen.screening().left_out,
                 "report": lumen.report(),
                 "evaluation": evaluation,
             }));
         }
         print_report(lumen.report());
+        print_left_out(lumen.screening());
         if let Some(evaluation) = &evaluation {
             println!("error      {:.4} mm (mean, nodes to truth)", evaluation.mesh_to_truth.mean_mm);
         }

@@ -1,4 +1,4 @@
-use crate::settings::{Backend, Merge, Method, Outliers, Settings, Statistic};
+use crate::settings::{Backend, Merge, Method, Outliers, Settings, Statistic, UnfitFrames};
 use crate::{Error, Result};
 use std::path::PathBuf;
 
@@ -68,6 +68,12 @@ pub(super) struct SettingsArguments {
     /// Probe in the tracker sensor's frame: position in mm and unit quaternion [default: 0,0,0,0,0,0,1]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = numbers::<7>, allow_hyphen_values = true)]
     calibration: Option<[f64; 7]>,
+    /// Refuse a recording with unfit frames, such as a lost sensor's, instead of leaving them out
+    #[arg(long, conflicts_with = "keep")]
+    strict: bool,
+    /// Use frames whose poses are off the path of the others, instead of leaving them out
+    #[arg(long)]
+    keep: bool,
 }
 
 impl SettingsArguments {
@@ -109,6 +115,12 @@ impl SettingsArguments {
         if let Some([x, y, z, qx, qy, qz, qw]) = self.calibration {
             settings.calibration.position_mm = [x, y, z];
             settings.calibration.quaternion = [qx, qy, qz, qw];
+        }
+        if self.strict {
+            settings.unfit_frames = UnfitFrames::Refuse;
+        }
+        if self.keep {
+            settings.unfit_frames = UnfitFrames::Keep;
         }
         settings.validate()?;
         self.check_method(settings.method)?;

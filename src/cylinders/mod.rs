@@ -57,6 +57,8 @@ pub struct CylindersReport {
     pub frames: usize,
     /// Frames whose cylinder was estimated, because the recording has none.
     pub estimated_cylinders: usize,
+    /// Frames whose cylinders were to be merged, but have no contour.
+    pub without_contour: Vec<usize>,
     /// Cylinders fitted and merged.
     pub cylinders: usize,
     /// Rings of the vessel.
@@ -128,13 +130,19 @@ impl CylinderReconstruction {
         let track = Track::of(recording, settings)?;
         let track_seconds = start.elapsed().as_secs_f64();
 
-        let frames = merged_frames(track.len(), settings);
+        let mut frames = merged_frames(track.len(), settings);
         if frames.is_empty() {
             return Err(Error::Setting {
                 name: "every",
                 found: settings.every.to_string(),
                 expected: format!("at most the recording's {} frames", track.len()),
             });
+        }
+        // A frame without a contour, such as one that was left out, has no cylinder of its own.
+        let is_seen = |&k: &usize| recording.frames[k].echoes_mm().next().is_some();
+        let without_contour: Vec<usize> = frames.iter().copied().filter(|k| !is_seen(k)).collect();
+        if without_contour.len() < frames.len() {
+            frames.retain(is_seen);
         }
         let start = Instant::now();
         let ready = AtomicUsize::new(0);
@@ -163,6 +171,7 @@ impl CylinderReconstruction {
             threads: rayon::current_num_threads(),
             frames: track.len(),
             estimated_cylinders: track.estimated_count(),
+            without_contour,
             cylinders: cylinders.len(),
             rings: vessel.rings.len(),
             nodes,

@@ -8,8 +8,8 @@ pub use live::{Change, Live, Work};
 
 use crate::Result;
 use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, engine};
-use crate::recording::Recording;
-use crate::settings::{Method, Settings};
+use crate::recording::{Recording, Screening};
+use crate::settings::{Method, Settings, UnfitFrames};
 use crate::surface::Surface;
 use crate::sweep::{Sweep, SweepReport};
 use serde::Serialize;
@@ -69,13 +69,22 @@ impl<'a> Reconstructor<'a> {
         self
     }
 
-    /// Reconstructs the lumen of a recording.
+    /// Reconstructs the lumen of a recording. Frames that a [`Screening`] finds unfit are left out, unless the settings say
+    /// otherwise.
     ///
     /// # Errors
-    /// Where settings are invalid or ask for a device that is not there, a frame cannot be used, or the contours cover no
-    /// length of a vessel.
+    /// Where settings are invalid or ask for a device that is not there, more frames are unfit than
+    /// [`Screening::MAX_SHARE`] or any where the settings refuse them, or the contours cover no length of a vessel.
     pub fn run(&self, recording: &Recording) -> Result<Lumen> {
         self.settings.validate()?;
+        let screening = match self.settings.unfit_frames {
+            UnfitFrames::Keep => Screening::none(recording),
+            _ => Screening::of(recording),
+        };
+        if self.settings.unfit_frames == UnfitFrames::Refuse {
+            screening.refuse()?;
+        }
+        let recording = &*screening.apply(recording)?;
         let vessel = match self.settings.method {
             Method::Cylinders => {
                 let tell =
@@ -94,7 +103,7 @@ impl<'a> Reconstructor<'a> {
                 Vessel::Sweep(Sweep::run(recording, &self.settings, &tell)?)
             }
         };
-        Ok(Lumen { settings: self.settings.clone(), vessel })
+        Ok(Lumen { settings: self.settings.clone(), screening, vessel })
     }
 
     /// The engine that the settings ask for, started by the first call.
@@ -111,6 +120,7 @@ impl<'a> Reconstructor<'a> {
 #[derive(Debug, Clone)]
 pub struct Lumen {
     settings: Settings,
+    screening: Screening,
     vessel: Vessel,
 }
 
@@ -138,6 +148,11 @@ impl Lumen {
     /// The settings that it was reconstructed with.
     pub fn settings(&self) -> &Settings {
         &self.settings
+    }
+
+    /// The frames that were left out, and why.
+    pub fn screening(&self) -> &Screening {
+        &self.screening
     }
 
     /// The lumen as a triangle surface with arrays per node: [`MergedVessel::surface`](crate::cylinders::merge::MergedVessel::surface)

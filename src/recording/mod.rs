@@ -4,12 +4,14 @@ mod cylinder;
 pub(crate) mod echo_error;
 mod formats;
 mod pullback;
+mod screening;
 mod summary;
 
 pub use cylinder::CylinderModel;
 pub(crate) use cylinder::MAX_RADIUS_MM;
 pub(crate) use formats::Table;
 pub use pullback::{Pullback, PullbackPath};
+pub use screening::{LeftOut, Screening};
 pub use summary::{Defects, Example, MinMedianMax, Summary};
 
 use crate::geometry::{Pose, polygon};
@@ -196,8 +198,8 @@ impl Frame {
         let position = self.world_from_sensor.translation_mm;
         let mut defects = Vec::new();
         let mut add = |field, found, expected| defects.push(Defect { field, found, expected });
-        if !position.is_finite() {
-            add("position", position.to_string(), "three finite numbers in mm");
+        if !position.is_finite() || position.abs().max_element() > MAX_POSITION_MM {
+            add("position", position.to_string(), "three finite numbers in mm, at most 1e6 from the origin");
         }
         if let Some((found, expected)) = self.rotation_defect() {
             add("rotation", found, expected);
@@ -205,10 +207,11 @@ impl Frame {
         if let Some(t) = self.time_s.filter(|t| !t.is_finite()) {
             add("time", t.to_string(), "a finite number of seconds");
         }
-        let half_there = |p: &DVec2| p.x.is_nan() != p.y.is_nan() || p.x.is_infinite() || p.y.is_infinite();
+        let half_there =
+            |p: &DVec2| p.x.is_nan() != p.y.is_nan() || !p.is_nan() && p.abs().max_element() > MAX_RADIUS_MM;
         if let Some(i) = self.contour_mm.iter().position(half_there) {
             let p = self.contour_mm[i];
-            let expected = "two finite numbers in mm, or NaN in both for a missing echo";
+            let expected = "two finite numbers in mm of at most 10000, or NaN in both for a missing echo";
             add("contour", format!("({}, {}) at point {i}", p.x, p.y), expected);
         }
         if let Some(c) = &self.cylinder {
@@ -250,6 +253,10 @@ impl Frame {
         }
     }
 }
+
+/// Farthest that a sensor lies from its tracker's origin in each axis, mm: a kilometre. Trackers send larger numbers for
+/// a sensor that they have lost.
+const MAX_POSITION_MM: f64 = 1e6;
 
 /// Largest element of |RᵀR − I| that rounding in a tracker's output explains.
 const ROTATION_TOLERANCE: f64 = 1e-3;

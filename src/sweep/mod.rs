@@ -22,11 +22,11 @@ pub use tracker::Tracker;
 #[cfg(feature = "gpu")]
 pub use wall::gpu::GpuWallEngine;
 
-use crate::Result;
 use crate::engine::EngineDescription;
 use crate::recording::Recording;
 use crate::settings::Settings;
 use crate::surface::Surface;
+use crate::{Error, Result};
 use prepare::Prepared;
 use prepare::echo::Echo;
 use prepare::grid::WallGrid;
@@ -113,6 +113,18 @@ impl Sweep {
             *radius -= outward_bias_mm(*radius, tangential_noise_mm);
         }
         let support = timed(&mut seconds.support, || Support::of(&prepared.grid, &echoes, &wall));
+        if !surface::has_support(prepared.grid.nodes, prepared.grid.rings, &support) {
+            return Err(Error::Surface {
+                what: "wall that echoes support".into(),
+                found: format!(
+                    "no triangle from {} echoes for {} nodes, with a noise of {:.3} mm",
+                    echoes.len(),
+                    prepared.grid.node_count(),
+                    wall.noise_mm
+                ),
+                expected: "more echoes on each part of the wall, or less noise".into(),
+            });
+        }
         let fitted = FittedWall { wall, echoes, engine, tracker, tangential_noise_mm };
         let report = SweepReport::of(&prepared, &fitted, &support, seconds);
         let Prepared { axis, grid, .. } = prepared;

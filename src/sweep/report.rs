@@ -49,6 +49,8 @@ pub struct SweepReport {
     pub smoothness_mm2: f64,
     /// Robust reweightings.
     pub iterations: usize,
+    /// Whether the reweightings and the last solution converged within their limits.
+    pub converged: bool,
     /// Steps of the solver, summed over the iterations.
     pub solver_steps: usize,
     /// Errors of the tracker, where the settings ask for them.
@@ -123,6 +125,7 @@ impl SweepReport {
             tangential_noise_mm: *tangential_noise_mm,
             smoothness_mm2: wall.smoothness_mm2,
             iterations: wall.iterations,
+            converged: wall.converged,
             solver_steps: wall.solver_steps,
             tracker: *tracker,
             seconds,

@@ -6,6 +6,22 @@ use crate::surface::{Surface, face_triangles};
 use std::f64::consts::TAU;
 use std::ops::Range;
 
+/// The triangles between `rings` rings, by nodes of the first ring on.
+fn triangles(nodes: usize, rings: usize) -> impl Iterator<Item = [u32; 3]> {
+    (0..rings.saturating_sub(1))
+        .flat_map(move |ring| (0..nodes).map(move |j| (ring * nodes + j, ring * nodes + (j + 1) % nodes)))
+        .flat_map(move |(a, b)| face_triangles(a as u32, b as u32, (b + nodes) as u32, (a + nodes) as u32))
+}
+
+fn is_supported(triangle: &[u32; 3], first: usize, support: &Support) -> bool {
+    triangle.iter().all(|&n| support.supported[first + n as usize])
+}
+
+/// Whether echoes support any triangle of a wall.
+pub(super) fn has_support(nodes: usize, rings: usize, support: &Support) -> bool {
+    triangles(nodes, rings).any(|triangle| is_supported(&triangle, 0, support))
+}
+
 /// Some rings of a wall as triangles, normals outward: the supported ones, or all with `keep_unsupported`. Arrays:
 /// `support` (echoes), `residual_mm`, `standard_error_mm`, `frame` (the last one), `supported` (1 or 0).
 pub(super) fn surface(
@@ -17,12 +33,8 @@ pub(super) fn surface(
     keep_unsupported: bool,
 ) -> Surface {
     let first = rings.start * nodes;
-    let mut triangles: Vec<[u32; 3]> = (0..rings.len().saturating_sub(1))
-        .flat_map(|ring| (0..nodes).map(move |j| (ring * nodes + j, ring * nodes + (j + 1) % nodes)))
-        .flat_map(|(a, b)| face_triangles(a as u32, b as u32, (b + nodes) as u32, (a + nodes) as u32))
-        .filter(|triangle| {
-            keep_unsupported || triangle.iter().all(|&n| support.supported[first + n as usize])
-        })
+    let mut triangles: Vec<[u32; 3]> = triangles(nodes, rings.len())
+        .filter(|triangle| keep_unsupported || is_supported(triangle, first, support))
         .collect();
     let mut index = vec![if keep_unsupported { 0 } else { u32::MAX }; rings.len() * nodes];
     triangles.iter().flatten().for_each(|&n| index[n as usize] = 0);

@@ -24,6 +24,7 @@ mod recording;
 mod recording_command;
 #[cfg(feature = "render")]
 mod render;
+mod screening;
 #[cfg(feature = "cli")]
 mod simulate;
 #[cfg(feature = "cli")]

@@ -149,8 +149,19 @@ fn a_recording_that_cannot_be_used_is_refused() {
              least 1 within 10 mm of height and a radius of 0.50 to 1.50 mm",
         ),
     ] {
-        refused(folder.path(), &[name, "-o", "mesh.vtp", "--cylinders", "all.csv"], 1, expected);
+        let flags = ["-o", "mesh.vtp", "--cylinders", "all.csv", "--strict"];
+        refused(folder.path(), &[&[name][..], &flags].concat(), 1, expected);
     }
+    // Without --strict, one unfit frame is left out and named.
+    let (status, said, errors) = reconstruct(&["negative.mat", "-o", "mesh.vtp"], folder.path());
+    assert_eq!((status, errors.as_str()), (0, ""));
+    assert!(
+        said.contains("left out   1 of 60 frames") && said.contains("frame 7: cylinder radius"),
+        "{said}"
+    );
+    let (status, said, _) = reconstruct(&["negative.mat", "-o", "mesh.vtp", "--json"], folder.path());
+    let report: serde_json::Value = serde_json::from_str(&said).unwrap();
+    assert_eq!((status, &report["left_out"][0]["frame"]), (0, &serde_json::json!(7)), "{said}");
 }
 
 #[test]

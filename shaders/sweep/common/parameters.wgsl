@@ -59,6 +59,12 @@ struct Echo {
     normal_z: f32,
 }
 
+// State.done: the residual is small enough, or the equations are not positive definite or not finite.
+const CONVERGED = 1u;
+const BROKEN = 2u;
+// The largest number of f32.
+const MAX_F32 = 3.4028234e38;
+
 // Values that pass from pass to pass.
 struct State {
     // The known digits of the median, its rank among the residuals that share them, and the number of known
@@ -66,7 +72,7 @@ struct State {
     prefix: u32,
     rank: u32,
     digits: u32,
-    // 1 once conjugate gradients have converged, and the number of their steps.
+    // How conjugate gradients ended (0 while they go on, CONVERGED or BROKEN), and the number of their steps.
     done: u32,
     steps: u32,
     // Square of the residual in the preconditioner's norm, length of a step, and share of the last direction

@@ -213,7 +213,7 @@ impl Curve {
             .chain(found.into_iter().map(|(_, mean)| mean))
             .chain(outliers_mm.iter().copied())
             .collect();
-        let line_mm = resampled(&centreline(&centres_mm, self.radius_mm)?, self.spacing_mm());
+        let line_mm = resampled(&centreline(&centres_mm, self.radius_mm).ok()??, self.spacing_mm());
         let from = self.nodes_mm[end - 1];
         let distance = |k: usize| line_mm[k].distance(from);
         let joint = (0..line_mm.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b)))?;

@@ -88,7 +88,7 @@ impl LiveSweep {
         let radius_mm = self.contours.value();
         if let Some(vessel) = &mut self.vessel {
             vessel.grid.arc_mm = TAU * radius_mm / vessel.grid.nodes as f64;
-            return Ok(vessel.push(&placed));
+            return vessel.push(&placed);
         }
         self.waiting.push(placed);
         if self.waiting.len() > MAX_WAITING {
@@ -110,7 +110,7 @@ impl LiveSweep {
         if radius_mm <= 0.0 || centres.is_empty() || low.distance(high) < START_RADII * radius_mm {
             return Ok(Step::default());
         }
-        let Some(curve) = centreline(&centres, radius_mm) else { return Ok(Step::default()) };
+        let Some(curve) = centreline(&centres, radius_mm)? else { return Ok(Step::default()) };
         let length_mm = lengths(&curve).last().copied().unwrap_or(0.0);
         let contours_mm: Vec<&[DVec2]> =
             self.waiting.iter().map(|placed| &placed.frame.contour_mm[..]).collect();
@@ -118,7 +118,7 @@ impl LiveSweep {
         let (nodes, step_mm) = resolution(&contours_mm, length_mm, radius_mm, f64::INFINITY, &self.settings)?;
         let curve = Curve::along(&curve, &centres, radius_mm);
         let mut vessel = GrowingVessel::along(curve, nodes, step_mm, radius_mm, &self.settings);
-        let step = vessel.start(&self.waiting);
+        let step = vessel.start(&self.waiting)?;
         self.waiting = Vec::new();
         self.vessel = Some(vessel);
         Ok(step)

@@ -3,6 +3,7 @@
 use super::band::{EchoBand, Sample};
 use super::curve::{Curve, Growth};
 use super::running_median::RunningMedian;
+use crate::Result;
 use crate::geometry::{Pose, rotation_minimising_frames, transported};
 use crate::numerics::robust::{SD_PER_MAD, median};
 use crate::recording::Frame;
@@ -143,7 +144,7 @@ impl GrowingVessel {
     }
 
     /// Places the first frames and fits the wall about them.
-    pub fn start(&mut self, frames: &[PlacedFrame]) -> Step {
+    pub fn start(&mut self, frames: &[PlacedFrame]) -> Result<Step> {
         let mut step = Step::default();
         let samples: Vec<(usize, Sample, f64)> =
             frames.iter().flat_map(|frame| self.placed(frame, false)).collect();
@@ -160,14 +161,17 @@ impl GrowingVessel {
                 self.bands[band].measure(model, &mut self.residuals, round < WARM_UP_ROUNDS);
                 step.echoes += self.bands[band].kept;
             }
-            step.rings += self.refit(self.observed.start..self.observed.end + 1, &mut 0).len();
+            step.rings += self.refit(self.observed.start..self.observed.end + 1, &mut 0)?.len();
         }
         step.changed.push(0..self.grid.rings);
-        step
+        Ok(step)
     }
 
     /// Adds a frame.
-    pub fn push(&mut self, frame: &PlacedFrame) -> Step {
+    ///
+    /// # Errors
+    /// [`Error::Solver`](crate::Error::Solver) where the wall's equations have no solution; the wall then stays as it was.
+    pub fn push(&mut self, frame: &PlacedFrame) -> Result<Step> {
         let mut step = Step::default();
         match frame.centre_mm().map(|centre| self.curve.push(centre)) {
             Some(Growth::Moved { before, moved }) => {
@@ -194,12 +198,12 @@ impl GrowingVessel {
             let first = (middle - reach).max(0.0) as usize;
             let window = first..((middle + reach) as usize + 2).min(self.grid.rings);
             let mut measured = MAX_MEASURED;
-            let solved = self.refit(window, &mut measured);
+            let solved = self.refit(window, &mut measured)?;
             step.echoes += MAX_MEASURED - measured;
             step.rings += solved.len();
             step.changed.push(solved);
         }
-        step.changed.push(self.refit_background(&mut step.echoes, &mut step.rings));
+        step.changed.push(self.refit_background(&mut step.echoes, &mut step.rings)?);
         step.changed.retain(|range| !range.is_empty());
         step.changed.sort_by_key(|range| range.start);
         step.changed.dedup_by(|next, before| {
@@ -209,21 +213,21 @@ impl GrowingVessel {
             }
             joined
         });
-        step
+        Ok(step)
     }
 
     /// Fits the wall in the background window again, and advances it along the vessel.
-    fn refit_background(&mut self, echoes: &mut usize, rings: &mut usize) -> Range<usize> {
+    fn refit_background(&mut self, echoes: &mut usize, rings: &mut usize) -> Result<Range<usize>> {
         if !(self.observed.start..self.observed.end).contains(&self.background) {
             self.background = self.observed.start;
         }
         let window = self.background..(self.background + BACKGROUND_WINDOW).min(self.observed.end + 1);
         self.background += BACKGROUND_STEP;
         let mut measured = MAX_MEASURED / 2;
-        let solved = self.refit(window, &mut measured);
+        let solved = self.refit(window, &mut measured)?;
         *echoes += MAX_MEASURED / 2 - measured;
         *rings += solved.len();
-        solved
+        Ok(solved)
     }
 
     /// Rings beside the newest echoes that these affect: three times the range of the bending term.
@@ -455,10 +459,10 @@ impl GrowingVessel {
 
     /// Solves for the wall in a window of rings with all others fixed. Before that, up to `budget` residuals are evaluated
     /// again, where the wall has moved most; they are subtracted from the budget. Returns the rings.
-    fn refit(&mut self, window: Range<usize>, budget: &mut usize) -> Range<usize> {
+    fn refit(&mut self, window: Range<usize>, budget: &mut usize) -> Result<Range<usize>> {
         let window = window.start.max(self.observed.start)..window.end.min(self.observed.end + 1);
         if window.len() < 2 {
-            return 0..0;
+            return Ok(0..0);
         }
         let (nodes, all) = (self.grid.nodes, self.grid.rings);
         let noise_mm = self.noise_mm();
@@ -502,7 +506,7 @@ impl GrowingVessel {
             &System::plain(&equations, smoothness),
             SOLVED_SHARE,
             &mut change,
-        );
+        )?;
         for ring in free {
             let travel = &change[ring * nodes..(ring + 1) * nodes];
             let ring = ring + solved.start;
@@ -513,7 +517,7 @@ impl GrowingVessel {
             }
         }
         self.update_support(&window, &supporting, &tally, smoothness);
-        window
+        Ok(window)
     }
 
     /// Updates the support of a window's nodes by the echoes of the rings `supporting`.

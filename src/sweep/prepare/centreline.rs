@@ -7,6 +7,7 @@
 use crate::geometry::polyline::{lengths, resampled, station};
 use crate::numerics::banded::Pentadiagonal;
 use crate::numerics::robust::median;
+use crate::{Error, Result};
 use glam::DVec3;
 
 /// Clusters within this many cluster radii of each other touch.
@@ -23,20 +24,39 @@ pub(in crate::sweep) const SMOOTHNESS: f64 = {
 };
 /// How often the centres are projected onto the curve and the curve is fitted again.
 const ROUNDS: usize = 4;
+/// Largest number of the curve's nodes.
+const MAX_NODES: f64 = 1e6;
 /// Robust reweightings in each round.
 const REWEIGHTINGS: usize = 5;
 
 /// A smooth curve through `centres_mm`, as points at equal steps of its length to within a percent; `None` where the
 /// centres cover no length. The lumen's radius `radius_mm` sets the scale.
-pub(in crate::sweep) fn centreline(centres_mm: &[DVec3], radius_mm: f64) -> Option<Vec<DVec3>> {
+///
+/// # Errors
+/// [`Error::Surface`] where the centres are so far apart for the radius that no vessel explains it.
+pub(in crate::sweep) fn centreline(centres_mm: &[DVec3], radius_mm: f64) -> Result<Option<Vec<DVec3>>> {
     let mut curve = principal_path(centres_mm, radius_mm);
     if curve.len() < 2 {
-        return None;
+        return Ok(None);
     }
     for _ in 0..ROUNDS {
-        curve = smoothed(&resampled(&curve, radius_mm / NODES_PER_RADIUS), centres_mm, radius_mm)?;
+        // Positions are bounded, but nothing ties them to the lumen's radius.
+        let length_mm = lengths(&curve).last().copied().unwrap_or(0.0);
+        let max_mm = MAX_NODES * radius_mm / NODES_PER_RADIUS;
+        if !length_mm.is_finite() || length_mm > max_mm {
+            return Err(Error::Surface {
+                what: "centreline".into(),
+                found: format!("{length_mm:.0} mm through the contours' centres"),
+                expected: format!("at most {max_mm:.0} mm for a lumen of {radius_mm:.3} mm radius"),
+            });
+        }
+        let Some(smooth) = smoothed(&resampled(&curve, radius_mm / NODES_PER_RADIUS), centres_mm, radius_mm)
+        else {
+            return Ok(None);
+        };
+        curve = smooth;
     }
-    Some(curve)
+    Ok(Some(curve))
 }
 
 /// The longest of the shortest paths between clusters of centres, starting at the end nearer to the first centre.
@@ -188,7 +208,7 @@ mod tests {
                 DVec3::new(angle(step).cos(), angle(step).sin(), 0.0) * 40.0 + scatter
             })
             .collect();
-        let curve = centreline(&centres, 8.0).unwrap();
+        let curve = centreline(&centres, 8.0).unwrap().unwrap();
         let lengths = lengths(&curve);
         let total = lengths[lengths.len() - 1];
         assert!((total - 120.0).abs() < 2.0, "{total}");
@@ -200,8 +220,8 @@ mod tests {
 
     #[test]
     fn centres_without_length_have_no_curve() {
-        assert!(centreline(&[DVec3::X], 8.0).is_none());
-        assert!(centreline(&[DVec3::X; 20], 8.0).is_none());
-        assert!(centreline(&[DVec3::X, DVec3::X * 3.0], 8.0).is_none());
+        assert!(centreline(&[DVec3::X], 8.0).unwrap().is_none());
+        assert!(centreline(&[DVec3::X; 20], 8.0).unwrap().is_none());
+        assert!(centreline(&[DVec3::X, DVec3::X * 3.0], 8.0).unwrap().is_none());
     }
 }

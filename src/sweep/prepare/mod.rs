@@ -67,7 +67,10 @@ impl<'a> Prepared<'a> {
                 Some(pose.transform_point(outline.as_ref()?.centre_mm.extend(0.0)))
             })
             .collect();
-        let curve = (contour_radius_mm > 0.0).then(|| centreline(&centres_mm, contour_radius_mm)).flatten();
+        let curve = match contour_radius_mm > 0.0 {
+            true => centreline(&centres_mm, contour_radius_mm)?,
+            false => None,
+        };
         let Some(curve) = curve else {
             return Err(Error::Frame {
                 frame: 0,

@@ -193,7 +193,8 @@ impl<'a> Joint<'a> {
             if !prior.is_frozen {
                 prior.local = LocalSmoothness::from_bending(self.grid, radii_mm, roughness);
             }
-            fit.solver_steps += self.solve(&errors, fit.levels, roughness, &prior.local, &values, radii_mm);
+            fit.solver_steps +=
+                self.solve(&errors, fit.levels, roughness, &prior.local, &values, radii_mm)?;
             let sums = self.sums(|i| values[i] - self.equations[i].corners.value(radii_mm));
             fit.errors = errors.of(&sums);
             fit.levels.noise_mm = self.noise_mm(&values, &fit.errors, &errors, radii_mm).max(1e-9 * noise_mm);
@@ -214,7 +215,7 @@ impl<'a> Joint<'a> {
         let errors = self.errors_at(fit.levels)?;
         let velocities: Vec<f64> = self.equations.iter().map(|equation| equation.velocity_mm).collect();
         let mut wall_velocities = vec![0.0; radii_mm.len()];
-        self.solve(&errors, fit.levels, roughness, &prior.local, &velocities, &mut wall_velocities);
+        self.solve(&errors, fit.levels, roughness, &prior.local, &velocities, &mut wall_velocities)?;
         let explained =
             errors.of(&self.sums(|i| velocities[i] - self.equations[i].corners.value(&wall_velocities)));
         let mut information = 0.0;
@@ -273,7 +274,7 @@ impl<'a> Joint<'a> {
         local: &LocalSmoothness,
         values: &[f64],
         x: &mut [f64],
-    ) -> usize {
+    ) -> Result<usize> {
         let explained = errors.of(&self.sums(|i| values[i]));
         let mut equations = Equations::over(self.grid, 0..self.grid.rings);
         for (k, range) in self.starts.windows(2).enumerate() {
@@ -302,7 +303,8 @@ impl<'a> Joint<'a> {
             coupling: &coupling,
             first_harmonic: 1.0 / (1.0 + per_frame * (levels.shift_mm / levels.noise_mm).powi(2)),
         };
-        self.solver.solve(&system, (1e-3 * levels.noise_mm / self.grid.radius_mm()).max(1e-10), x)
+        let tolerance = (1e-3 * levels.noise_mm / self.grid.radius_mm()).max(1e-10);
+        Ok(self.solver.solve(&system, tolerance, x)?.steps)
     }
 
     /// σ, from the median of the residuals, corrected for the degrees of freedom of the errors.

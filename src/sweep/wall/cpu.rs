@@ -69,9 +69,9 @@ impl WallEngine for CpuWallEngine<'_> {
         let radii_mm = &mut self.wall.radii_mm;
         let before = radii_mm.clone();
         let system = System::plain(&equations, reweighting.smoothness_mm2);
-        let solver_steps = self.solver.solve(&system, reweighting.tolerance, radii_mm);
+        let solved = self.solver.solve(&system, reweighting.tolerance, radii_mm)?;
         let travel = before.iter().zip(&*radii_mm).map(|(a, b)| (a - b).abs()).sum::<f64>();
-        Ok(Solution { travel_mm: travel / before.len() as f64, solver_steps })
+        Ok(Solution { travel_mm: travel / before.len() as f64, solved })
     }
 
     fn finish(self) -> Result<Vec<f64>> {

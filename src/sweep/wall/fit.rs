@@ -1,6 +1,7 @@
 //! The fit of a wall by iteratively reweighted least squares, whatever engine does the reweightings.
 
 use super::residual::ResidualModel;
+use super::solver::Solved;
 use crate::Result;
 use crate::numerics::robust::{SD_PER_MAD, median};
 use crate::recording::echo_error::OUT_OF_PLANE;
@@ -19,6 +20,8 @@ pub(in crate::sweep) struct Wall {
     pub out_of_plane: f64,
     pub iterations: usize,
     pub solver_steps: usize,
+    /// Whether the last reweighting was solved to its tolerance and moved the nodes by little enough.
+    pub converged: bool,
 }
 
 /// Iterations without projections and gate, until the wall has its shape.
@@ -50,7 +53,7 @@ pub(in crate::sweep) struct Reweighting {
 pub(in crate::sweep) struct Solution {
     /// Mean displacement of the nodes, mm.
     pub travel_mm: f64,
-    pub solver_steps: usize,
+    pub solved: Solved,
 }
 
 /// A wall, initially a tube of the radius [`start_mm`], and the echoes about it.
@@ -81,6 +84,7 @@ impl Wall {
             out_of_plane: OUT_OF_PLANE,
             iterations: 0,
             solver_steps: 0,
+            converged: false,
         }
     }
 
@@ -117,10 +121,12 @@ pub(super) fn reweighted(
             warm_up,
             tolerance: (SOLVED_NOISE_SHARE * wall.noise_mm / start_mm).max(SOLVED_RADII),
         })?;
-        wall.solver_steps += solution.solver_steps;
+        wall.solver_steps += solution.solved.steps;
         wall.iterations = iteration + 1;
         let enough_mm = (ENOUGH_RADII * start_mm).max(ENOUGH_NOISE_SHARE * wall.noise_mm);
-        if !warm_up && solution.travel_mm <= enough_mm {
+        let settled = solution.travel_mm <= enough_mm;
+        wall.converged = settled && solution.solved.converged;
+        if !warm_up && settled {
             break;
         }
     }

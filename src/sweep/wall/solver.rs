@@ -4,6 +4,7 @@ use super::bending::LocalSmoothness;
 use super::equations::Equations;
 use crate::numerics::banded::Factored;
 use crate::sweep::prepare::grid::WallGrid;
+use crate::{Error, Result};
 use realfft::num_complex::Complex64;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use std::sync::Arc;
@@ -40,6 +41,14 @@ pub(in crate::sweep) struct Solver {
     max_steps: usize,
 }
 
+/// How conjugate gradients ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::sweep) struct Solved {
+    pub steps: usize,
+    /// Whether the residual is as small as asked for; otherwise the number of steps ran out.
+    pub converged: bool,
+}
+
 /// Largest number of steps of conjugate gradients.
 pub(in crate::sweep) const MAX_STEPS: usize = 100;
 
@@ -57,11 +66,14 @@ impl Solver {
         Self { grid, forward, backward, max_steps }
     }
 
-    /// Improves `x` until the residual is `tolerance` times that of `x = 0`; returns the number of steps.
-    pub(in crate::sweep) fn solve(&self, system: &System, tolerance: f64, x: &mut [f64]) -> usize {
+    /// Improves `x` until the residual is `tolerance` times that of `x = 0`, or the steps run out.
+    ///
+    /// # Errors
+    /// [`Error::Solver`] where the equations are not positive definite or hold numbers that are not finite.
+    pub(in crate::sweep) fn solve(&self, system: &System, tolerance: f64, x: &mut [f64]) -> Result<Solved> {
         let System { equations, smoothness_mm2, local, coupling, .. } = *system;
         let count = self.grid.node_count();
-        let precondition = self.preconditioner(system);
+        let precondition = self.preconditioner(system)?;
         let right: Vec<f64> = equations.rows().iter().map(|row| row[4]).collect();
         let mut product = vec![0.0; count];
         let apply = |x: &[f64], out: &mut [f64]| {
@@ -81,14 +93,18 @@ impl Solver {
         let mut direction = z.clone();
         let mut size = dot(&residual, &z);
         for step in 0..self.max_steps {
-            if size.is_nan() || size <= enough {
-                return step;
+            if size <= enough {
+                return Ok(Solved { steps: step, converged: true });
+            }
+            if !size.is_finite() {
+                return Err(broken("square of the wall equations' residual", size));
             }
             apply(&direction, &mut product);
-            let alpha = size / dot(&direction, &product);
-            if !alpha.is_finite() {
-                return step;
+            let curvature = dot(&direction, &product);
+            if !(curvature.is_finite() && curvature > 0.0) {
+                return Err(broken("curvature of the wall equations", curvature));
             }
+            let alpha = size / curvature;
             for i in 0..count {
                 x[i] += alpha * direction[i];
                 residual[i] -= alpha * product[i];
@@ -102,18 +118,22 @@ impl Solver {
                 direction[i] = z[i] + beta * direction[i];
             }
         }
-        self.max_steps
+        Ok(Solved { steps: self.max_steps, converged: size <= enough })
     }
 
     /// One factored system per frequency about the axis.
-    fn preconditioner(&self, system: &System) -> Vec<Factored> {
+    fn preconditioner(&self, system: &System) -> Result<Vec<Factored>> {
         let System { equations, smoothness_mm2, local, first_harmonic, .. } = *system;
         let weights = self.grid.even_weights(equations.ring_weights(&self.grid));
         (0..=self.grid.nodes / 2)
-            .filter_map(|frequency| {
+            .map(|frequency| {
                 let share = if frequency == 1 { first_harmonic } else { 1.0 };
                 let weights: Vec<f64> = weights.iter().map(|weight| weight * share).collect();
-                self.grid.system(frequency, &weights, smoothness_mm2, local).factored()
+                let system = self.grid.system(frequency, &weights, smoothness_mm2, local);
+                // Without one of them, those after it would be taken for lower frequencies.
+                system
+                    .factored()
+                    .ok_or_else(|| broken("weight of all echoes on the wall", weights.iter().sum()))
             })
             .collect()
     }
@@ -129,8 +149,8 @@ impl Solver {
         let weights = self.grid.even_weights(ring_weights);
         let system =
             |frequency| self.grid.system(frequency, &weights, smoothness, LocalSmoothness::EVEN).factored();
-        let systems: Vec<Factored> = (0..=self.grid.nodes / 2).filter_map(system).collect();
-        self.precondition(&systems, x);
+        let systems: Option<Vec<Factored>> = (0..=self.grid.nodes / 2).map(system).collect();
+        self.precondition(&systems.expect("positive definite systems"), x);
     }
 
     fn precondition(&self, systems: &[Factored], x: &mut [f64]) {
@@ -164,6 +184,10 @@ impl Solver {
     }
 }
 
+fn broken(what: &'static str, found: f64) -> Error {
+    Error::Solver { what, found: found.to_string(), expected: "a finite number above 0" }
+}
+
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
@@ -195,12 +219,48 @@ mod tests {
         let equations = some_equations();
         for smoothness in [1e-4, 1.0, 1e4] {
             let mut x = vec![0.0; 48];
-            let steps = Solver::new(GRID).solve(&System::plain(&equations, smoothness), 1e-12, &mut x);
+            let solved = Solver::new(GRID).solve(&System::plain(&equations, smoothness), 1e-12, &mut x);
+            let Solved { steps, converged } = solved.unwrap();
             let scale = 1.0 + smoothness;
             assert!(residual(&equations, smoothness, &x) < 1e-9 * scale, "{smoothness}: {steps} steps");
-            assert!(steps < MAX_STEPS, "{smoothness}");
+            assert!(converged && steps < MAX_STEPS, "{smoothness}");
             x[7] += 0.01;
             assert!(residual(&equations, smoothness, &x) > 1e-6 * scale);
         }
+    }
+
+    #[test]
+    fn too_few_steps_are_no_convergence() {
+        let equations = some_equations();
+        let few = Solver::new(GRID).over(GRID, 2);
+        let solved = few.solve(&System::plain(&equations, 1e-4), 1e-12, &mut vec![0.0; 48]).unwrap();
+        assert_eq!(solved, Solved { steps: 2, converged: false });
+    }
+
+    #[test]
+    fn equations_without_a_minimum_are_refused() {
+        let message = |equations: &Equations, smoothness, coupling: &dyn Fn(&[f64], &mut [f64])| {
+            let system = System { coupling, ..System::plain(equations, smoothness) };
+            Solver::new(GRID).solve(&system, 1e-12, &mut vec![0.0; 48]).unwrap_err().to_string()
+        };
+        let mut with_nan = some_equations();
+        with_nan.add(&GRID.corners(2.5, 3.5), 1.0, f64::NAN);
+        let found = message(&with_nan, 1.0, &|_, _| ());
+        assert_eq!(
+            found,
+            "square of the wall equations' residual: found NaN, expected a finite number above 0"
+        );
+        let mut with_nan = some_equations();
+        with_nan.add(&GRID.corners(2.5, 3.5), f64::NAN, 1.0);
+        assert!(
+            message(&with_nan, 1.0, &|_, _| ()).starts_with("weight of all echoes on the wall: found NaN")
+        );
+        let endless = message(&some_equations(), f64::INFINITY, &|_, _| ());
+        assert!(endless.contains("expected a finite number above 0"), "{endless}");
+        // A coupling that outweighs the echoes: the system has negative curvature.
+        let negative =
+            |x: &[f64], out: &mut [f64]| out.iter_mut().zip(x).for_each(|(out, x)| *out -= 1e6 * x);
+        let found = message(&some_equations(), 1.0, &negative);
+        assert!(found.starts_with("curvature of the wall equations: found -"), "{found}");
     }
 }

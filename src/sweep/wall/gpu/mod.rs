@@ -14,8 +14,8 @@ use crate::recording::echo_error::OUT_OF_PLANE;
 use crate::sweep::prepare::{echo, grid::WallGrid};
 use crate::sweep::wall::bending::LocalSmoothness;
 use crate::sweep::wall::fit::{Reweighting, Solution, WallEngine};
-use crate::sweep::wall::passes::{DeviceEcho, Factors, State, WallParameters};
-use crate::sweep::wall::solver::MAX_STEPS;
+use crate::sweep::wall::passes::{CONVERGED, DeviceEcho, Factors, State, WallParameters};
+use crate::sweep::wall::solver::{MAX_STEPS, Solved};
 use rayon::prelude::*;
 
 /// Steps of conjugate gradients between two tests of convergence on the CPU. Steps after convergence do
@@ -220,14 +220,14 @@ impl WallEngine for OnDevice<'_> {
         let whole = self.sum_of_partials(&stages, self.workspace.frequency_groups())?;
         let max_residual_square = (reweighting.tolerance * reweighting.tolerance * whole) as f32;
         self.workspace.set_parameters(context, &WallParameters { max_residual_square, ..parameters });
-        let solver_steps = self.conjugate_gradients()?;
+        let solved = self.conjugate_gradients()?;
 
         let count = grid.node_count();
         let travel_mm = self.sum_of_partials(&[Stage::Move], count.div_ceil(256))? / count as f64;
         if !travel_mm.is_finite() {
             return Err(GpuError::Wrong { what: "travel of the nodes", found: travel_mm.to_string() }.into());
         }
-        Ok(Solution { travel_mm, solver_steps })
+        Ok(Solution { travel_mm, solved })
     }
 
     fn finish(self) -> Result<Vec<f64>> {
@@ -259,8 +259,8 @@ impl OnDevice<'_> {
         Ok(partials.into_iter().take(count).map(f64::from).sum())
     }
 
-    /// Conjugate gradients until convergence; returns the number of steps.
-    fn conjugate_gradients(&self) -> Result<usize> {
+    /// Conjugate gradients until convergence, or until the steps run out.
+    fn conjugate_gradients(&self) -> Result<Solved> {
         let [state, residual, product] =
             ["state", "cg_residual", "product"].map(|name| self.workspace.shared(name));
         let steps = [Stage::Precondition, Stage::Step].repeat(STEPS_PER_SUBMISSION);
@@ -272,11 +272,18 @@ impl OnDevice<'_> {
                 }
             })?;
             let state: State = bytemuck::pod_read_unaligned(&read[0]);
-            if state.done != 0 || state.steps as usize >= MAX_STEPS {
-                return Ok(state.steps as usize);
+            let steps = state.steps as usize;
+            match state.done {
+                0 if steps < MAX_STEPS => {}
+                0 => break,
+                CONVERGED => return Ok(Solved { steps, converged: true }),
+                _ => {
+                    let found = format!("residual square {} after {steps} steps", state.residual_square);
+                    return Err(GpuError::Wrong { what: "wall equations", found }.into());
+                }
             }
         }
-        Ok(MAX_STEPS)
+        Ok(Solved { steps: MAX_STEPS, converged: false })
     }
 }
 

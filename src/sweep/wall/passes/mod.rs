@@ -51,7 +51,7 @@ pub use hartley_second_spectrum::hartley_second_spectrum;
 pub use hartley_second_values::hartley_second_values;
 pub use measure::measure;
 pub use move_wall::move_wall;
-pub use parameters::{DeviceEcho, State, WallParameters};
+pub use parameters::{BROKEN, CONVERGED, DeviceEcho, State, WallParameters};
 pub use partials::sum_of_partials;
 pub use pick_digit::pick_digit;
 pub use substitute::substitute;

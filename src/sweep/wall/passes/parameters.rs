@@ -153,6 +153,11 @@ pub struct DeviceEcho {
     pub normal: [f32; 3],
 }
 
+/// [`State::done`]: the residual is small enough.
+pub const CONVERGED: u32 = 1;
+/// [`State::done`]: the equations are not positive definite, or hold numbers that are not finite.
+pub const BROKEN: u32 = 2;
+
 /// `State` of the shaders: values that pass from pass to pass.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 #[repr(C)]
@@ -163,7 +168,7 @@ pub struct State {
     pub rank: u32,
     /// The number of known digits, of four.
     pub digits: u32,
-    /// 1 once conjugate gradients have converged.
+    /// How conjugate gradients ended: 0 while they go on, [`CONVERGED`] or [`BROKEN`].
     pub done: u32,
     /// The number of their steps.
     pub steps: u32,
