@@ -207,11 +207,10 @@ impl Frame {
         if let Some(t) = self.time_s.filter(|t| !t.is_finite()) {
             add("time", t.to_string(), "a finite number of seconds");
         }
-        let half_there =
-            |p: &DVec2| p.x.is_nan() != p.y.is_nan() || !p.is_nan() && p.abs().max_element() > MAX_RADIUS_MM;
+        let half_there = |p: &DVec2| p.x.is_nan() != p.y.is_nan() || p.x.is_infinite() || p.y.is_infinite();
         if let Some(i) = self.contour_mm.iter().position(half_there) {
             let p = self.contour_mm[i];
-            let expected = "two finite numbers in mm of at most 10000, or NaN in both for a missing echo";
+            let expected = "two finite numbers in mm, or NaN in both for a missing echo";
             add("contour", format!("({}, {}) at point {i}", p.x, p.y), expected);
         }
         if let Some(c) = &self.cylinder {
