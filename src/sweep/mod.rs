@@ -80,7 +80,7 @@ impl Sweep {
     /// As [`Sweep::of`], with the wall fitted by an engine on a device, whatever the settings' backend.
     ///
     /// # Errors
-    /// As [`Sweep::of`], and [`Error::Gpu`](crate::Error::Gpu) where the device fails.
+    /// As [`Sweep::of`], and [`Error::Gpu`] where the device fails.
     #[cfg(feature = "gpu")]
     pub fn on_device(recording: &Recording, settings: &Settings, device: &GpuWallEngine) -> Result<Self> {
         Self::fitted(recording, settings, &|_, _, _| (), |grid, echoes| {
