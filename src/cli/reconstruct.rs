@@ -174,9 +174,13 @@ fn print_sweep(report: &sweep::SweepReport) {
 
 /// Errors of the tracker.
 fn print_tracker(tracker: &sweep::Tracker) {
+    let sweep::Tracker { noise_mm, shift_mm, turn_deg, .. } = tracker;
+    print!("tracker    noise of {noise_mm:.3} mm an axis; {shift_mm:.3} mm and {turn_deg:.3}° ");
+    // An offset alone leaves the poses as they are.
+    let done = tracker.poses_corrected || *shift_mm == 0.0;
     println!(
-        "tracker    noise of {:.3} mm an axis; {:.3} mm and {:.3}° taken off (root mean square)",
-        tracker.noise_mm, tracker.shift_mm, tracker.turn_deg
+        "{} (root mean square)",
+        if done { "taken off" } else { "estimated, not taken off: implausible" }
     );
     if let (Some(offset_s), Some(error_s)) = (tracker.offset_s, tracker.offset_standard_error_s) {
         let done = if tracker.offset_corrected { "corrected" } else { "not significant, left" };

@@ -24,10 +24,13 @@ use serde::Serialize;
 pub struct Tracker {
     /// Standard deviation of a pose's shift along each axis, mm; a rotation of as many degrees belongs to it.
     pub noise_mm: f64,
-    /// Root mean square length of the corrected shifts, mm; shifts along the vessel are not observable and remain.
+    /// Root mean square length of the estimated shifts, mm; shifts along the vessel are not observable and remain.
     pub shift_mm: f64,
-    /// Root mean square angle of the corrected rotations, degrees.
+    /// Root mean square angle of the estimated rotations, degrees.
     pub turn_deg: f64,
+    /// Whether shifts and rotations were corrected: not where they are larger than a tracker's errors or do not lower the
+    /// noise of the echoes about the wall.
+    pub poses_corrected: bool,
     /// How much older than its contour a pose is, s; `None` where it was not estimated.
     pub offset_s: Option<f64>,
     /// Standard error of that, s.
@@ -48,6 +51,10 @@ const MIN_FACTOR: f64 = 0.2;
 const FITS: usize = 4;
 /// The initial noise of the poses, as a share of the echoes'.
 const START_SHARE: f64 = 0.3;
+/// Larger corrections than this many lumen radii or degrees, as root mean squares, are no errors of a tracker: the estimate
+/// has run away, as it does where the poses have no errors that it could find.
+const MAX_SHIFT_RADII: f64 = 0.25;
+const MAX_TURN_DEG: f64 = 15.0;
 /// An offset beyond this many standard errors is significant.
 const SIGNIFICANT: f64 = 3.0;
 /// Velocities are slopes over the frames within this time before and after, and over at least one frame on each side.
@@ -96,9 +103,8 @@ impl Tracker {
             }
         }
         if settings.correct_poses {
-            let found = estimator.estimate(&sensors, None, std::mem::take(echoes), wall.clone())?;
-            *echoes = found.echoes;
-            *wall = refit(grid, echoes, settings.roughness, found.wall)?;
+            let mut found = estimator.estimate(&sensors, None, echoes.clone(), wall.clone())?;
+            let refitted = refit(grid, &mut found.echoes, settings.roughness, found.wall)?;
             let parts: Vec<_> = found.errors.iter().map(|e| split(e, grid.radius_mm())).collect();
             let rms = |of: fn(&(DVec3, DVec3)) -> f64| {
                 (parts.iter().map(of).sum::<f64>() / parts.len().max(1) as f64).sqrt()
@@ -107,6 +113,12 @@ impl Tracker {
             report.solver_steps += found.solver_steps;
             report.shift_mm = rms(|(shift, _)| shift.length_squared());
             report.turn_deg = rms(|(_, turn)| turn.length_squared()).to_degrees();
+            report.poses_corrected = report.shift_mm <= MAX_SHIFT_RADII * grid.radius_mm()
+                && report.turn_deg <= MAX_TURN_DEG
+                && refitted.noise_mm <= wall.noise_mm;
+            if report.poses_corrected {
+                (*echoes, *wall) = (found.echoes, refitted);
+            }
         }
         Ok(Some(report))
     }
