@@ -352,7 +352,7 @@ impl Settings {
         }
         // Beyond, the wall is a tube or follows every echo, and f32 and f64 lose the bending beside the echoes.
         if !(1e-6..=1e3).contains(&self.sweep.roughness) {
-            return fail("sweep.roughness", self.sweep.roughness.to_string(), "1e-6 to 1000");
+            return fail("sweep.roughness", format!("{:?}", self.sweep.roughness), "1e-6 to 1000");
         }
         if let Some(half_life_s) = self.sweep.half_life_s.filter(|s| !(1e-3..=1e9).contains(s)) {
             return fail("sweep.half_life_s", format!("{half_life_s:?}"), "0.001 to 1e9 s");

@@ -90,7 +90,7 @@ pub(super) fn print_left_out(screening: &Screening) {
         return;
     }
     println!(
-        "left out   {} of {} frames (--strict refuses them, --keep uses them)",
+        "left out   {} of {} frames (--strict refuses the recording, --keep uses them where a pose alone is to blame)",
         left_out.len(),
         screening.frames
     );

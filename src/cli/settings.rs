@@ -68,10 +68,10 @@ pub(super) struct SettingsArguments {
     /// Probe in the tracker sensor's frame: position in mm and unit quaternion [default: 0,0,0,0,0,0,1]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = numbers::<7>, allow_hyphen_values = true)]
     calibration: Option<[f64; 7]>,
-    /// Refuse a recording with unfit frames, such as a lost sensor's, instead of leaving them out
+    /// In reconstruct and report: refuse a recording with unfit frames, such as a lost sensor's, instead of leaving them out
     #[arg(long, conflicts_with = "keep")]
     strict: bool,
-    /// Use frames whose poses are off the path of the others, instead of leaving them out
+    /// In reconstruct and report: use frames whose poses are off the path of the others, instead of leaving them out
     #[arg(long)]
     keep: bool,
 }

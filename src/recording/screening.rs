@@ -41,7 +41,7 @@ pub struct LeftOut {
 const JUMP_STEPS: f64 = 10.0;
 /// … and than this share of the contours' median radius.
 const JUMP_RADII: f64 = 0.5;
-/// The usual step is this quantile of all steps: a quarter of them may be jumps, and more than half of them rests.
+/// The usual step is this quantile of all steps: a quarter of them may be jumps, or three quarters of them rests.
 const USUAL_QUANTILE: f64 = 0.75;
 /// The price of a jump, in frames: runs at the ends of a recording that are shorter, and runs within it that are shorter
 /// than twice that, are left out …
@@ -177,7 +177,7 @@ fn off_the_path(frames: &[Frame], sound: &[usize]) -> Vec<LeftOut> {
         return Vec::new();
     }
     let price = JUMP_PRICE.min(JUMP_PRICE_SHARE * sound.len() as f64);
-    // A gap takes time, in which the sensor moves on; at most until it would be a jump itself that is paid for.
+    // The sensor moves on during a gap: one usual step for each frame between the runs.
     let is_jump = |a: &Run, b: &Run| {
         let gap = (sound[b.first] - sound[a.last]) as f64;
         step_mm(pose(a.last), pose(b.first), radius_mm) > jump_mm + usual_mm * (gap - 1.0)
