@@ -8,8 +8,8 @@ pub use live::{Change, Live, Work};
 
 use crate::Result;
 use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, engine};
-use crate::recording::{Recording, Screening};
-use crate::settings::{Method, Settings, UnfitFrames};
+use crate::recording::{Recording, Screened, Screening};
+use crate::settings::{Method, Settings};
 use crate::surface::Surface;
 use crate::sweep::{Sweep, SweepReport};
 use serde::Serialize;
@@ -77,14 +77,9 @@ impl<'a> Reconstructor<'a> {
     /// [`Screening::MAX_SHARE`] or any where the settings refuse them, or the contours cover no length of a vessel.
     pub fn run(&self, recording: &Recording) -> Result<Lumen> {
         self.settings.validate()?;
-        let screening = match self.settings.unfit_frames {
-            UnfitFrames::Keep => Screening::none(recording),
-            _ => Screening::of(recording),
-        };
-        if self.settings.unfit_frames == UnfitFrames::Refuse {
-            screening.refuse()?;
-        }
-        let recording = &*screening.apply(recording)?;
+        let Screened { recording, screening } =
+            Screened::of(recording, &self.settings.conventions, self.settings.unfit_frames)?;
+        let recording = &*recording;
         let vessel = match self.settings.method {
             Method::Cylinders => {
                 let tell =
