@@ -41,7 +41,7 @@ pub enum Error {
     Input {
         /// The file.
         path: PathBuf,
-        /// The frame (0-based), where one is to blame.
+        /// The frame's number in the file, where one is to blame.
         frame: Option<usize>,
         /// The variable, column or quantity.
         field: String,
@@ -76,7 +76,7 @@ pub enum Error {
     #[error("frame {frame}: {field}: found {found}, expected {expected}")]
     #[non_exhaustive]
     Frame {
-        /// The frame (0-based).
+        /// The frame, by [`Recording::number`](crate::recording::Recording::number).
         frame: usize,
         /// The variable, column or quantity.
         field: &'static str,

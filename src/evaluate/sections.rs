@@ -93,7 +93,7 @@ pub fn read_values(path: &Path, column: &str) -> Result<BTreeMap<u64, f64>> {
     let (frame, value) = (table.column("frame")?, table.column(&name)?);
     let mut values = BTreeMap::new();
     while let Some(row) = table.next_row()? {
-        let number = table.count(&row, frame)?;
+        let number = table.count(&row, frame)? as u64;
         if let Some(value) = table.optional_number(&row, value)?
             && values.insert(number, value).is_some()
         {

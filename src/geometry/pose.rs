@@ -17,6 +17,10 @@ impl Pose {
     /// No motion at all.
     pub const IDENTITY: Pose = Pose { rotation: DMat3::IDENTITY, translation_mm: DVec3::ZERO };
 
+    /// The pose of a sensor that the tracker did not see: all its numbers are NaN, so that it equals no pose, not even
+    /// itself.
+    pub const LOST: Pose = Pose { rotation: DMat3::NAN, translation_mm: DVec3::NAN };
+
     /// A pose from a position in mm and a unit quaternion.
     pub fn from_quaternion(translation_mm: DVec3, quaternion: DQuat) -> Self {
         Self { rotation: DMat3::from_quat(quaternion), translation_mm }

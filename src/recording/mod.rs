@@ -40,12 +40,14 @@ pub struct Frame {
     pub contour_mm: Vec<DVec2>,
     /// The local cylinder, where the recording carries one.
     pub cylinder: Option<CylinderModel>,
+    /// The frame's number in its file, where that is not its place in the recording. See [`Recording::number`].
+    pub number: Option<usize>,
 }
 
 impl Frame {
-    /// A frame without a time and without a cylinder.
+    /// A frame without a time, a cylinder or a number of its own.
     pub fn new(world_from_sensor: Pose, contour_mm: Vec<DVec2>) -> Self {
-        Self { world_from_sensor, time_s: None, contour_mm, cylinder: None }
+        Self { world_from_sensor, time_s: None, contour_mm, cylinder: None, number: None }
     }
 
     /// Sets the time.
@@ -66,6 +68,13 @@ impl Frame {
     #[must_use]
     pub fn with_cylinder(mut self, cylinder: Option<CylinderModel>) -> Self {
         self.cylinder = cylinder;
+        self
+    }
+
+    /// Sets the frame's number in its file.
+    #[must_use]
+    pub fn with_number(mut self, number: Option<usize>) -> Self {
+        self.number = number;
         self
     }
 
@@ -117,13 +126,17 @@ impl Recording {
     /// `x_data` and `y_data` (F×M, contours, mm, NaN where there is no echo) and optionally `cyl_px`, `cyl_py`,
     /// `theta`, `phi`, `rad` and `time_s` (F×1 each). A folder holds `poses.csv`
     /// (`frame,time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw`), `contours.csv` (`frame,x_mm,y_mm`) and optionally
-    /// `cylinders.csv` (`frame,px_mm,py_mm,theta_rad,phi_rad,radius_mm`). Frames are renumbered from 0.
+    /// `cylinders.csv` (`frame,px_mm,py_mm,theta_rad,phi_rad,radius_mm`). Frames keep their
+    /// [numbers](Recording::number). A pose that is missing is [`Pose::LOST`].
     ///
     /// # Errors
     /// Where a file cannot be read, lacks a variable, or holds a frame that fails [`Recording::check`].
     pub fn read(path: &Path) -> Result<Self> {
         let recording = Self::read_unchecked(path)?;
-        recording.check().map_err(|e| e.in_file(path))?;
+        recording.check().map_err(|e| {
+            let file = formats::file_of(path, &e);
+            e.in_file(&file)
+        })?;
         Ok(recording)
     }
 
@@ -134,6 +147,11 @@ impl Recording {
     /// Where a file cannot be read, lacks a variable or has one of a wrong shape.
     pub fn read_unchecked(path: &Path) -> Result<Self> {
         if path.is_dir() { formats::csv::read(path) } else { formats::mat::read_by_ending(path) }
+    }
+
+    /// The number of the frame at place `k`, for messages: the one that its file gives it, or else `k`.
+    pub fn number(&self, k: usize) -> usize {
+        self.frames.get(k).and_then(|frame| frame.number).unwrap_or(k)
     }
 
     /// Writes a recording: `.mat` by that ending, else (no ending, or a folder that is there) a folder of CSV
@@ -166,7 +184,7 @@ impl Recording {
                 expected: "at least 1".into(),
             });
         }
-        self.frames.iter().enumerate().try_for_each(|(k, frame)| frame.check(k))
+        self.frames.iter().enumerate().try_for_each(|(k, frame)| frame.check(self.number(k)))
     }
 }
 

@@ -64,12 +64,7 @@ impl Pullback {
             Some(line) => line.poses(positions_mm.iter().map(|z| z - start_mm)),
         };
         let frame_numbers = contours.iter().map(|c| c.number).collect();
-        let frame = |(world_from_sensor, contour): (Pose, Contour)| Frame {
-            world_from_sensor,
-            time_s: None,
-            contour_mm: contour.points_mm,
-            cylinder: None,
-        };
+        let frame = |(pose, contour): (Pose, Contour)| Frame::new(pose, contour.points_mm);
         let mut frames: Vec<Frame> = poses.into_iter().zip(contours).map(frame).collect();
         let centre_mm = match centre_mm {
             Some(centre) => centre,
@@ -107,7 +102,7 @@ fn read_contours(path: &Path) -> Result<Vec<Contour>> {
     let [x, y, z] = table.columns([["x", "x_mm"], ["y", "y_mm"], ["z", "z_mm"]], 1)?;
     let mut contours: BTreeMap<u64, Contour> = BTreeMap::new();
     while let Some(row) = table.next_row()? {
-        let number = table.count(&row, frame)?;
+        let number = table.count(&row, frame)? as u64;
         let point = |column| -> Result<f64> { Ok(table.optional_number(&row, column)?.unwrap_or(f64::NAN)) };
         let point = DVec2::new(point(x)?, point(y)?);
         let position_mm = table.number(&row, z)?;

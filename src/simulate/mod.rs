@@ -164,18 +164,10 @@ fn frame(
         .flatten();
     let cylinder_noise = of_frame.cylinder();
     let cylinder = settings.cylinders.then(|| local_cylinder(path, time_s, &tip, cylinder_noise)).flatten();
-    let truth = Frame {
-        world_from_sensor: tip,
-        time_s: Some(time_s),
-        contour_mm: contour(&true_ranges, probe, |range, direction| direction * range),
-        cylinder: true_cylinder,
-    };
-    let recorded = Frame {
-        world_from_sensor: tracked,
-        time_s: Some(time_s),
-        contour_mm: noisy_contour(&ranges, probe, &mut of_frame),
-        cylinder,
-    };
+    let true_contour = contour(&true_ranges, probe, |range, direction| direction * range);
+    let truth = Frame::new(tip, true_contour).with_time_s(Some(time_s)).with_cylinder(true_cylinder);
+    let noisy_contour = noisy_contour(&ranges, probe, &mut of_frame);
+    let recorded = Frame::new(tracked, noisy_contour).with_time_s(Some(time_s)).with_cylinder(cylinder);
     (recorded, truth)
 }
 

@@ -10,13 +10,16 @@ use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 use std::process::Command;
 
-/// Frames with ragged contours, missing echoes, and times and cylinders on some of them.
+/// Frames with ragged contours, missing echoes, times and cylinders on some of them, and in one of three recordings
+/// numbers with gaps.
 fn some_recording(seed: u64) -> Recording {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (frames, rays) = (random.random_range(1..30), random.random_range(0..40));
     let (ragged, timed, modelled) =
         (random.random_bool(0.5), random.random_bool(0.5), random.random_bool(0.5));
-    let frame = |_| {
+    let (first, step) =
+        if seed.is_multiple_of(3) { (seed as usize, 1 + seed as usize / 3 % 3) } else { (0, 1) };
+    let frame = |k: usize| {
         let mut number = |scale: f64| random.random_range(-scale..scale);
         let quaternion = DQuat::from_xyzw(number(1.0), number(1.0), number(1.0), number(1.0)).normalize();
         let position = DVec3::new(number(500.0), number(500.0), number(1e-7));
@@ -36,6 +39,7 @@ fn some_recording(seed: u64) -> Recording {
         Frame::new(Pose::from_quaternion(position, quaternion), contour_mm)
             .with_time_s((timed && random.random_bool(0.9)).then(|| random.random_range(0.0..60.0)))
             .with_cylinder((modelled && random.random_bool(0.9)).then_some(model))
+            .with_number(Some(first + step * k).filter(|&number| number != k))
     };
     Recording { frames: (0..frames).map(frame).collect() }
 }
@@ -58,7 +62,8 @@ fn difference(a: &Recording, b: &Recording, rotation_tolerance: f64) -> Option<S
             && p.rotation.abs_diff_eq(q.rotation, rotation_tolerance)
             && a.time_s == b.time_s
             && contour(a) == contour(b)
-            && a.cylinder == b.cylinder;
+            && a.cylinder == b.cylinder
+            && a.number == b.number;
         if !same {
             return Some(format!("frame {k}: {a:?} and {b:?}"));
         }
@@ -360,7 +365,14 @@ fn bad_csv_lines_are_named_with_what_was_expected() {
         ("poses", "4,0", "2,0", "poses.csv: line 3: frame: found 2, expected a number above 3"),
         ("poses", "4,0", "4.5,0", "poses.csv: line 3: frame: found 4.5, expected a whole number"),
         ("poses", "4,0", "4,abc", "poses.csv: line 3: x_mm: found \"abc\", expected a number"),
-        ("poses", "4,0,", "4,,", "poses.csv: line 3: x_mm: found nothing, expected a number"),
+        (
+            "poses",
+            "4,0,",
+            "4,,",
+            "poses.csv: frame 4: position: found [NaN, NaN, NaN], expected three finite",
+        ),
+        ("poses", "\n4,", "\n,", "poses.csv: line 3: frame: found nothing, expected a number"),
+        ("poses", "\n4,", "\nN/A,", "poses.csv: line 3: frame: found \"N/A\", expected a number"),
         (
             "poses",
             "4,0,0,0,0,0,0,1",
@@ -371,29 +383,39 @@ fn bad_csv_lines_are_named_with_what_was_expected() {
             "poses",
             "4,0,0,0,0,0,0,1",
             "4,0,0,0,0,0,0,0.9",
-            "frame 1: rotation: found axes of length 0.8100 (a quaternion of norm 0.9000), expected unit axes",
+            "poses.csv: frame 4: rotation: found axes of length 0.8100 (a quaternion of norm 0.9000), expected unit axes",
         ),
         (
             "poses",
             "4,0,0,0,0,0,0,1",
             "4,0,0,0,0,0,0,0",
-            "frame 1: rotation: found a first axis of length 0, expected unit axes",
+            "poses.csv: frame 4: rotation: found a first axis of length 0, expected unit axes",
         ),
         (
             "poses",
             "4,0,0,0,0,0,0,1",
             "4,0,NaN,0,0,0,0,1",
-            "frame 1: position: found [0, NaN, 0], expected three finite",
+            "poses.csv: frame 4: position: found [NaN, NaN, NaN], expected three finite",
         ),
-        ("contours", "4,2", "5,2", "contours.csv: line 3: frame: found 5, expected a frame of poses.csv"),
+        (
+            "contours",
+            "4,2",
+            "5,2",
+            "poses.csv: frame 5: position: found [NaN, NaN, NaN], expected three finite",
+        ),
         (
             "contours",
             "4,2,2",
             "4,2,",
-            "frame 1: contour: found (2, NaN) at point 0, expected two finite numbers",
+            "contours.csv: frame 4: contour: found (2, NaN) at point 0, expected two finite numbers",
         ),
         ("contours", "frame,x_mm,y_mm\n", "", "contours.csv: frame: found no line of column names"),
-        ("cylinders", "3,0", "9,0", "cylinders.csv: line 2: frame: found 9, expected a frame of poses.csv"),
+        (
+            "cylinders",
+            "3,0",
+            "9,0",
+            "cylinders.csv: line 2: frame: found 9, expected a frame of poses.csv or contours",
+        ),
         (
             "cylinders",
             "1,1,1\n",
@@ -404,9 +426,9 @@ fn bad_csv_lines_are_named_with_what_was_expected() {
             "cylinders",
             "1,1,1\n",
             "1,1,-1\n",
-            "frame 0: cylinder radius: found -1.0 mm, expected more than 0 and at most 10000 mm",
+            "cylinders.csv: frame 3: cylinder radius: found -1.0 mm, expected more than 0 and at most 10000 mm",
         ),
-        ("cylinders", "1,1,1\n", "1,1,1e30\n", "frame 0: cylinder radius: found 1e30 mm"),
+        ("cylinders", "1,1,1\n", "1,1,1e30\n", "cylinders.csv: frame 3: cylinder radius: found 1e30 mm"),
     ];
     let folder = tempfile::tempdir().unwrap();
     write_csv(folder.path(), poses, contours, Some(cylinders));
@@ -429,10 +451,11 @@ fn bad_csv_lines_are_named_with_what_was_expected() {
 fn a_recording_that_would_not_read_back_is_not_written() {
     let folder = tempfile::tempdir().unwrap();
     let mut recording = some_recording(1);
+    recording.frames[0].number = Some(17);
     recording.frames[0].world_from_sensor.translation_mm.x = f64::NAN;
     for name in ["rec.mat", "rec"] {
         let message = recording.write(&folder.path().join(name)).unwrap_err().to_string();
-        assert!(message.contains(&format!("{name}: frame 0: position: found ")), "{message}");
+        assert!(message.contains(&format!("{name}: frame 17: position: found ")), "{message}");
     }
     let message = some_recording(1).write(&folder.path().join("rec.xlsx")).unwrap_err().to_string();
     assert!(message.contains("rec.xlsx: unknown ending \"xlsx\", expected one of mat"), "{message}");
@@ -443,6 +466,107 @@ fn a_recording_that_would_not_read_back_is_not_written() {
     assert!(message.contains("rec: cannot write: "), "{message}");
     let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(left, ["file"]);
+}
+
+/// Poses of frames 7, 8, … with 40 good lines.
+fn poses_with(header: &str, lines: &[(usize, &str)]) -> String {
+    let line = |k: usize| {
+        let own = lines.iter().find(|(number, _)| *number == k);
+        own.map_or_else(|| format!("{k},0,0,{k},0,0,0,1,OK\n"), |(_, line)| format!("{k},{line}\n"))
+    };
+    format!("frame,x_mm,y_mm,z_mm,qx,qy,qz,qw,{header}\n{}", (7..47).map(line).collect::<String>())
+}
+
+/// The numbers of the frames whose poses are lost.
+fn lost(recording: &Recording) -> Vec<usize> {
+    let lost = |&k: &usize| !recording.frames[k].world_from_sensor.is_finite();
+    (0..recording.frames.len()).filter(lost).map(|k| recording.number(k)).collect()
+}
+
+#[test]
+fn a_pose_that_the_tracker_did_not_report_is_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = [
+        (9, ",,,,,,,OK"),
+        (11, "0,0,NaN,0,0,0,1,OK"),
+        (12, "N/A,N/A,N/A,na,NULL,none,#N/A,OK"),
+        (13, "0,0,-1.#IND,0,0,0,1,"),
+        (15, "-,-,-,-,-,-,-,OK"),
+        (20, "0,0,20,0,0,0,1,MISSING"),
+        (21, "0,0,0,0,0,0,0,TOOL_OUT_OF_VIEW"),
+        (22, "unread,0,0,0,0,0,0,Invalid"),
+    ];
+    let contours: String = (7..50).map(|k| format!("{k},1,2\n{k},na,N/A\n")).collect();
+    let contours = format!("frame,x_mm,y_mm\n{contours}");
+    let read = |poses: &str| {
+        write_csv(folder.path(), poses, &contours, None);
+        Recording::read_unchecked(folder.path())
+    };
+    let recording = read(&poses_with("ProbeToTrackerTransformStatus", &lines)).unwrap();
+    assert_eq!(recording.frames.len(), 43);
+    assert_eq!(lost(&recording), [9, 11, 12, 13, 15, 20, 21, 22, 47, 48, 49]);
+    assert!(recording.frames.iter().all(|f| f.contour_mm.len() == 2 && f.missing_echoes() == 1));
+    assert_eq!(recording.frames[1].number, Some(8));
+
+    for (header, lines, expected) in [
+        (
+            "ok",
+            vec![(9, "0,0,9,0,0,0,1,0"), (10, "0,0,9,0,0,0,1,1"), (11, "0,0,9,0,0,0,1,False")],
+            vec![9, 11],
+        ),
+        ("is_valid", vec![(9, "0,0,9,0,0,0,1,no"), (10, "0,0,9,0,0,0,1,")], vec![9]),
+        ("state", vec![(9, "0,0,9,0,0,0,1,systole"), (10, "0,0,9,0,0,0,1,disabled")], vec![10]),
+        ("quality", vec![(9, "0,0,9,0,0,0,1,0"), (10, "0,0,9,0,0,0,1,0.3")], vec![]),
+        ("note", vec![(9, "0,0,9,0,0,0,1,lost in thought")], vec![]),
+    ] {
+        let recording = read(&poses_with(header, &lines)).unwrap();
+        assert_eq!(lost(&recording), [&expected[..], &[47, 48, 49]].concat(), "{header}");
+    }
+    for (header, line, expected) in [
+        (
+            "status",
+            "0,0,9,0,0,0,1,ERR42",
+            "poses.csv: line 4: status: found \"ERR42\", expected OK, or MISSING",
+        ),
+        ("ok", "0,0,9,0,0,0,1,maybe", "poses.csv: line 4: status: found \"maybe\", expected OK, or MISSING"),
+        (
+            "status",
+            "0,0,9,0,0,0,1,3",
+            "poses.csv: line 5: status: found 4 after 3, expected words such as OK",
+        ),
+    ] {
+        let message =
+            read(&poses_with(header, &[(9, line), (10, "0,0,9,0,0,0,1,4")])).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+}
+
+#[test]
+fn frames_keep_the_numbers_of_their_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let contours: String =
+        (0..5).map(|k| format!("{},1,{}\n", 3 * k + 7, if k == 4 { "inf" } else { "2" })).collect();
+    let poses: String = (0..5).map(|k| format!("{},0,0,{k},0,0,0,1\n", 3 * k + 7)).collect();
+    let contours = format!("frame,x_mm,y_mm\n{contours}");
+    write_csv(folder.path(), &format!("frame,x_mm,y_mm,z_mm,qx,qy,qz,qw\n{poses}"), &contours, None);
+    let message = Recording::read(folder.path()).unwrap_err().to_string();
+    assert!(message.contains("contours.csv: frame 19: contour: found (1, inf) at point 0"), "{message}");
+
+    write_csv(
+        folder.path(),
+        &format!("frame,x_mm,y_mm,z_mm,qx,qy,qz,qw\n{poses}"),
+        &contours.replace("inf", "2"),
+        None,
+    );
+    let mut recording = Recording::read(folder.path()).unwrap();
+    assert_eq!((0..5).map(|k| recording.number(k)).collect::<Vec<_>>(), [7, 10, 13, 16, 19]);
+    // In another order they cannot be written.
+    recording.frames.swap(0, 1);
+    for name in ["swapped.mat", "swapped"] {
+        let path = folder.path().join(name);
+        recording.write(&path).unwrap();
+        assert!(Recording::read(&path).unwrap().frames.iter().all(|f| f.number.is_none()));
+    }
 }
 
 #[test]

@@ -69,12 +69,7 @@ mod tests {
             let r = (-b + (b * b - a * c).sqrt()) / a;
             DVec2::new(angle.cos(), angle.sin()) * r
         };
-        Frame {
-            world_from_sensor: world_from_probe * sensor_from_probe.inverse(),
-            time_s: None,
-            contour_mm: (0..60).map(ray).collect(),
-            cylinder: None,
-        }
+        Frame::new(world_from_probe * sensor_from_probe.inverse(), (0..60).map(ray).collect())
     }
 
     fn world_axis(frame: &Frame, model: &CylinderModel) -> (DVec3, DVec3) {

@@ -285,12 +285,8 @@ mod tests {
             let ray = DVec2::from_angle(f64::from(j) / 60.0 * TAU);
             ray * (10.0 / (rotation * ray.extend(0.0)).truncate().length())
         };
-        Frame {
-            world_from_sensor: Pose { rotation, translation_mm: DVec3::new(0.0, 0.0, z) },
-            time_s: None,
-            contour_mm: (0..60).map(point).collect(),
-            cylinder: None,
-        }
+        let pose = Pose { rotation, translation_mm: DVec3::new(0.0, 0.0, z) };
+        Frame::new(pose, (0..60).map(point).collect())
     }
 
     #[test]

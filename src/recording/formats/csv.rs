@@ -6,9 +6,12 @@
 //! | `contours.csv` | `frame,x_mm,y_mm`, one line per ray; empty or NaN: no echo |
 //! | `cylinders.csv` | `frame,px_mm,py_mm,theta_rad,phi_rad,radius_mm`, where there are models |
 //!
-//! Columns are found by name, others are ignored. Frame numbers rise in `poses.csv` and may leave gaps; a
-//! recording in memory counts its frames from 0.
+//! Columns are found by name, others are ignored. Frame numbers rise in `poses.csv` and may leave gaps. A pose is
+//! [lost](Pose::LOST) where one of its numbers is missing, where a [status](StatusColumn) says so, and where a frame of
+//! `contours.csv` has no line in `poses.csv`.
 
+use super::rising_numbers;
+use super::status::StatusColumn;
 use super::table::{Column, Table, TableRow};
 use crate::geometry::Pose;
 use crate::output::write_atomically;
@@ -27,45 +30,18 @@ const CYLINDERS: &str = "cylinders.csv";
 const UNIT_TOLERANCE: f64 = 1e-3;
 
 pub(in crate::recording) fn read(folder: &Path) -> Result<Recording> {
-    let mut poses = Table::open(&folder.join(POSES))?;
-    let frame_column = poses.column("frame")?;
-    let time = poses.optional_column("time_s")?;
-    let [x, y, z] = columns(&poses, ["x_mm", "y_mm", "z_mm"])?;
-    let [qx, qy, qz, qw] = columns(&poses, ["qx", "qy", "qz", "qw"])?;
-    let mut frames = Vec::new();
-    let mut index_of = BTreeMap::new();
-    while let Some(row) = poses.next_row()? {
-        let number = poses.count(&row, frame_column)?;
-        if let Some((&last, _)) = index_of.last_key_value()
-            && number <= last
-        {
-            return Err(poses.fault(&row, frame_column, number, format!("a number above {last}")));
-        }
-        index_of.insert(number, frames.len());
-        let value = |column| poses.number(&row, column);
-        let time_s = match time {
-            Some(column) => poses.optional_number(&row, column)?,
-            None => None,
-        };
-        frames.push(Frame {
-            world_from_sensor: Pose {
-                rotation: rotation(DQuat::from_xyzw(value(qx)?, value(qy)?, value(qz)?, value(qw)?)),
-                translation_mm: DVec3::new(value(x)?, value(y)?, value(z)?),
-            },
-            time_s: time_s.filter(|t| !t.is_nan()),
-            contour_mm: Vec::new(),
-            cylinder: None,
-        });
-    }
+    let mut frames = read_poses(&folder.join(POSES))?;
 
     let mut contours = Table::open(&folder.join(CONTOURS))?;
     let frame_column = contours.column("frame")?;
     let [x, y] = columns(&contours, ["x_mm", "y_mm"])?;
     while let Some(row) = contours.next_row()? {
-        let frame = known_frame(&contours, &row, frame_column, &index_of, &mut frames)?;
+        let number = contours.count(&row, frame_column)?;
         let value =
             |column| -> Result<f64> { Ok(contours.optional_number(&row, column)?.unwrap_or(f64::NAN)) };
-        frame.contour_mm.push(DVec2::new(value(x)?, value(y)?));
+        let point = DVec2::new(value(x)?, value(y)?);
+        let frame = frames.entry(number).or_insert_with(|| Frame::new(Pose::LOST, Vec::new()));
+        frame.contour_mm.push(point);
     }
 
     if folder.join(CYLINDERS).exists() {
@@ -74,7 +50,10 @@ pub(in crate::recording) fn read(folder: &Path) -> Result<Recording> {
         let names = ["px_mm", "py_mm", "theta_rad", "phi_rad", "radius_mm"];
         let [px, py, theta, phi, radius] = columns(&cylinders, names)?;
         while let Some(row) = cylinders.next_row()? {
-            let frame = known_frame(&cylinders, &row, frame_column, &index_of, &mut frames)?;
+            let number = cylinders.count(&row, frame_column)?;
+            let frame = frames.get_mut(&number).ok_or_else(|| {
+                cylinders.fault(&row, frame_column, number, format!("a frame of {POSES} or {CONTOURS}"))
+            })?;
             let value = |column| cylinders.number(&row, column);
             let model = CylinderModel {
                 px_mm: value(px)?,
@@ -88,7 +67,62 @@ pub(in crate::recording) fn read(folder: &Path) -> Result<Recording> {
             }
         }
     }
-    Ok(Recording { frames })
+    let place = |(k, (number, frame)): (usize, (usize, Frame))| {
+        frame.with_number(Some(number).filter(|&number| number != k))
+    };
+    Ok(Recording { frames: frames.into_iter().enumerate().map(place).collect() })
+}
+
+/// Frames by their numbers, without contours.
+fn read_poses(path: &Path) -> Result<BTreeMap<usize, Frame>> {
+    let mut table = Table::open(path)?;
+    let frame_column = table.column("frame")?;
+    let time = table.optional_column("time_s")?;
+    let columns = columns(&table, ["x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"])?;
+    let mut statuses = StatusColumn::all(&table);
+    let mut frames = BTreeMap::new();
+    while let Some(row) = table.next_row()? {
+        let number = table.count(&row, frame_column)?;
+        if let Some((&last, _)) = frames.last_key_value()
+            && number <= last
+        {
+            return Err(table.fault(&row, frame_column, number, format!("a number above {last}")));
+        }
+        let time_s = match time {
+            Some(column) => table.optional_number(&row, column)?,
+            None => None,
+        };
+        let mut lost = false;
+        for status in &mut statuses {
+            lost |= status.is_lost(&table, &row)?;
+        }
+        let pose = if lost { Pose::LOST } else { pose(&table, &row, &columns)? };
+        frames.insert(number, Frame::new(pose, Vec::new()).with_time_s(time_s));
+    }
+    Ok(frames)
+}
+
+/// The pose in a line: position, then quaternion. Where one of its numbers is missing, it is lost.
+fn pose(table: &Table, row: &TableRow, columns: &[Column<'_>; 7]) -> Result<Pose> {
+    let mut numbers = [Some(0.0); 7];
+    for (number, &column) in numbers.iter_mut().zip(columns) {
+        *number = table.optional_number(row, column)?;
+    }
+    Ok(match numbers {
+        [Some(x), Some(y), Some(z), Some(qx), Some(qy), Some(qz), Some(qw)] => {
+            Pose { rotation: rotation(DQuat::from_xyzw(qx, qy, qz, qw)), translation_mm: DVec3::new(x, y, z) }
+        }
+        _ => Pose::LOST,
+    })
+}
+
+/// The file that holds a field of [`Frame::defects`].
+pub(super) fn file_of(field: &str) -> &'static str {
+    match field {
+        "contour" => CONTOURS,
+        "cylinder" | "cylinder radius" => CYLINDERS,
+        _ => POSES,
+    }
 }
 
 fn columns<const N: usize>(table: &Table, names: [&'static str; N]) -> Result<[Column<'static>; N]> {
@@ -97,18 +131,6 @@ fn columns<const N: usize>(table: &Table, names: [&'static str; N]) -> Result<[C
         *column = table.column(name)?;
     }
     Ok(found)
-}
-
-fn known_frame<'a>(
-    table: &Table,
-    row: &TableRow,
-    column: Column<'_>,
-    index_of: &BTreeMap<u64, usize>,
-    frames: &'a mut [Frame],
-) -> Result<&'a mut Frame> {
-    let number = table.count(row, column)?;
-    let frame = index_of.get(&number).and_then(|&k| frames.get_mut(k));
-    frame.ok_or_else(|| table.fault(row, column, number, format!("a frame of {POSES}")))
 }
 
 /// A rotation from a quaternion that may be rounded. A quaternion of any other norm n gives axes of length n²,
@@ -149,7 +171,7 @@ pub(in crate::recording) fn write(recording: &Recording, folder: &Path) -> Resul
 }
 
 fn write_files(recording: &Recording, folder: &Path) -> Result<()> {
-    let frames = || recording.frames.iter().enumerate();
+    let frames = || rising_numbers(recording).zip(&recording.frames);
     write_atomically(&folder.join(POSES), |file| {
         writeln!(file, "frame,time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw")?;
         for (k, frame) in frames() {

@@ -7,9 +7,12 @@
 //! | `x_data`, `y_data` | F×M | the contours, mm; NaN: no echo on that ray |
 //! | `rays` | F×1, optional | rays per frame where they differ: the rest of a row is padding |
 //! | `time_s` | F×1, optional | time, s; NaN: not known |
+//! | `frame_number` | F×1, optional | the frames' numbers, rising; by default from 0 |
 //! | `cyl_px`, `cyl_py`, `theta`, `phi`, `rad` | F×1, all or none | the local cylinders, mm and rad; all NaN: none |
 
 use super::mat5::{self, Array, Variable};
+use super::rising_numbers;
+use super::table::index;
 use crate::geometry::Pose;
 use crate::output::{ending, write_atomically};
 use crate::recording::CylinderModel;
@@ -20,13 +23,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 const CYLINDER: [&str; 5] = ["cyl_px", "cyl_py", "theta", "phi", "rad"];
-const NAMES: [&str; 11] = [
+const NAMES: [&str; 12] = [
     "rotm",
     "Ep",
     "x_data",
     "y_data",
     "rays",
     "time_s",
+    "frame_number",
     CYLINDER[0],
     CYLINDER[1],
     CYLINDER[2],
@@ -66,6 +70,7 @@ pub(in crate::recording) fn read_by_ending(path: &Path) -> Result<Recording> {
     }
     let ray_counts = variables.ray_counts(frames, rays)?;
     let times = variables.column("time_s", frames)?;
+    let numbers = variables.frame_numbers(frames)?;
     let cylinders = variables.cylinders(frames)?;
 
     let frame = |k: usize| {
@@ -81,6 +86,7 @@ pub(in crate::recording) fn read_by_ending(path: &Path) -> Result<Recording> {
                 .map(|j| DVec2::new(component(&x, j), component(&y, j)))
                 .collect(),
             cylinder: cylinders.as_ref().and_then(|c| cylinder([0, 1, 2, 3, 4].map(|i| c[i][k]))),
+            number: numbers.as_ref().map(|n| n[k]).filter(|&number| number != k),
         }
     };
     Ok(Recording { frames: (0..frames).map(frame).collect() })
@@ -144,6 +150,21 @@ impl Variables<'_> {
         counts.iter().enumerate().map(count).collect::<Result<_>>().map(Some)
     }
 
+    fn frame_numbers(&mut self, frames: usize) -> Result<Option<Vec<usize>>> {
+        let Some(numbers) = self.column("frame_number", frames)? else { return Ok(None) };
+        let mut whole: Vec<usize> = Vec::with_capacity(frames);
+        for (k, &number) in numbers.iter().enumerate() {
+            match index(number).filter(|number| whole.last().is_none_or(|last| last < number)) {
+                Some(number) => whole.push(number),
+                None => {
+                    let (field, expected) = (format!("frame_number({})", k + 1), "whole numbers that rise");
+                    return Err(Error::input(self.path, field, number, expected));
+                }
+            }
+        }
+        Ok(Some(whole))
+    }
+
     fn cylinders(&mut self, frames: usize) -> Result<Option<Vec<Vec<f64>>>> {
         let mut columns = Vec::new();
         let mut missing = Vec::new();
@@ -196,6 +217,10 @@ pub(in crate::recording) fn write(recording: &Recording, path: &Path) -> Result<
     }
     if frames.iter().any(|f| f.time_s.is_some()) {
         variables.push(("time_s", column(&|f| f.time_s.unwrap_or(f64::NAN))));
+    }
+    if frames.iter().any(|f| f.number.is_some()) {
+        let values = rising_numbers(recording).map(|number| number as f64).collect();
+        variables.push(("frame_number", Array { shape: vec![frames.len(), 1], values }));
     }
     if frames.iter().any(|f| f.cylinder.is_some()) {
         let number = |of: fn(&CylinderModel) -> f64| column(&|f| f.cylinder.as_ref().map_or(f64::NAN, of));

@@ -3,6 +3,27 @@
 pub(super) mod csv;
 pub(super) mod mat;
 mod mat5;
+mod status;
 mod table;
 
 pub(crate) use table::Table;
+
+use super::Recording;
+use crate::Error;
+use std::path::{Path, PathBuf};
+
+/// The frames' numbers, or their places where the numbers do not rise, as a reader demands: then the frames were put in
+/// another order or come from several files.
+fn rising_numbers(recording: &Recording) -> impl Iterator<Item = usize> + '_ {
+    let numbers =
+        |own: bool| (0..recording.frames.len()).map(move |k| if own { recording.number(k) } else { k });
+    numbers(numbers(true).is_sorted_by(|a, b| a < b))
+}
+
+/// The file that holds what an error about a frame of the recording `path` is about.
+pub(super) fn file_of(path: &Path, error: &Error) -> PathBuf {
+    match error {
+        Error::Frame { field, .. } if path.is_dir() => path.join(csv::file_of(field)),
+        _ => path.to_owned(),
+    }
+}

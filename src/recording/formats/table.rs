@@ -51,7 +51,7 @@ impl Table {
         let mut table = Self { path, header: Vec::new(), first: None, records, decimal_comma };
         table.first = table.next_row()?;
         if let Some(row) = &table.first
-            && row.fields.iter().any(|f| !f.is_empty() && table.parse(f).is_none())
+            && row.fields.iter().any(|f| !is_missing(f) && table.parse(f).is_none())
         {
             table.header = row.fields.iter().map(str::to_ascii_lowercase).collect();
             table.first = None;
@@ -90,6 +90,11 @@ impl Table {
         })
     }
 
+    /// The columns' names, in lower case; none where the first line holds numbers.
+    pub fn header(&self) -> &[String] {
+        &self.header
+    }
+
     pub fn optional_column<'a>(&self, name: &'a str) -> Result<Option<Column<'a>>> {
         let mut columns = self.header.iter().enumerate().filter(|(_, n)| n.as_str() == name);
         let column = columns.next().map(|(index, _)| Column { index, name });
@@ -112,32 +117,38 @@ impl Table {
         }
     }
 
-    /// The number in a column; `None` where the field is empty.
+    /// The text in a column.
+    pub fn text<'a>(&self, row: &'a TableRow, column: Column<'_>) -> Result<&'a str> {
+        row.fields.get(column.index).ok_or_else(|| {
+            let found = format!("a line of {} fields", row.fields.len());
+            self.fault(row, column, found, format!("at least {}", column.index + 1))
+        })
+    }
+
+    /// The number in a column, never NaN; `None` where the field is empty or a word for a missing value.
     pub fn optional_number(&self, row: &TableRow, column: Column<'_>) -> Result<Option<f64>> {
-        match row.fields.get(column.index) {
-            Some("") => Ok(None),
-            Some(field) => match self.parse(field) {
-                Some(number) => Ok(Some(number)),
-                None => Err(self.fault(row, column, format!("{field:?}"), "a number")),
-            },
-            None => {
-                let found = format!("a line of {} fields", row.fields.len());
-                Err(self.fault(row, column, found, format!("at least {}", column.index + 1)))
-            }
+        let field = self.text(row, column)?;
+        match self.parse(field) {
+            Some(number) => Ok(Some(number).filter(|number| !number.is_nan())),
+            None if is_missing(field) => Ok(None),
+            None => Err(self.fault(row, column, format!("{field:?}"), "a number")),
         }
     }
 
     pub fn number(&self, row: &TableRow, column: Column<'_>) -> Result<f64> {
-        self.optional_number(row, column)?.ok_or_else(|| self.fault(row, column, "nothing", "a number"))
+        self.optional_number(row, column)?.ok_or_else(|| {
+            let found = match self.text(row, column) {
+                Ok("") | Err(_) => "nothing".into(),
+                Ok(word) => format!("{word:?}"),
+            };
+            self.fault(row, column, found, "a number")
+        })
     }
 
     /// A whole number that is not negative.
-    pub fn count(&self, row: &TableRow, column: Column<'_>) -> Result<u64> {
+    pub fn count(&self, row: &TableRow, column: Column<'_>) -> Result<usize> {
         let number = self.number(row, column)?;
-        if number.fract() == 0.0 && (0.0..9e15).contains(&number) {
-            return Ok(number as u64);
-        }
-        Err(self.fault(row, column, number, "a whole number from 0"))
+        index(number).ok_or_else(|| self.fault(row, column, number, "a whole number from 0"))
     }
 
     /// An error that names the line.
@@ -162,6 +173,44 @@ impl Table {
             Err(_) => None,
         }
     }
+}
+
+/// A whole number that is not negative and that a double holds exactly.
+pub(super) fn index(number: f64) -> Option<usize> {
+    let is_whole = number.fract() == 0.0 && (0.0..9e15).contains(&number);
+    is_whole.then_some(number as u64).and_then(|number| usize::try_from(number).ok())
+}
+
+/// Whether a field says that there is no value: it is empty or holds the word of a spreadsheet, a statistics package
+/// or a C library for that.
+pub(super) fn is_missing(field: &str) -> bool {
+    const WORDS: [&str; 22] = [
+        "",
+        "-",
+        "--",
+        "?",
+        ".",
+        "nan",
+        "na",
+        "n/a",
+        "n.a.",
+        "#n/a",
+        "#num!",
+        "#value!",
+        "#div/0!",
+        "null",
+        "#null!",
+        "none",
+        "nil",
+        "missing",
+        "nan(ind)",
+        "nan(snan)",
+        "1.#qnan",
+        "1.#ind",
+    ];
+    let word = field.to_ascii_lowercase();
+    let unsigned = word.strip_prefix(['-', '+']).filter(|rest| rest.contains("nan") || rest.contains('#'));
+    WORDS.contains(&unsigned.unwrap_or(&word))
 }
 
 #[cfg(test)]

@@ -67,12 +67,8 @@ impl SweepCase {
                 let wave = 1.0 + 0.08 * (2.0 * angle).cos() + 0.06 * (s / 9.0).sin();
                 DVec2::from_angle(angle) * (RADIUS_MM * wave + 0.5 * noise)
             });
-            Frame {
-                world_from_sensor: Pose::from_quaternion(curve(s), DQuat::from_rotation_arc(DVec3::Z, along)),
-                time_s: None,
-                contour_mm: contour_mm.collect(),
-                cylinder: None,
-            }
+            let rotation = DQuat::from_rotation_arc(DVec3::Z, along);
+            Frame::new(Pose::from_quaternion(curve(s), rotation), contour_mm.collect())
         };
         Recording { frames: (0..count).map(&mut frame).collect() }
     }

@@ -164,12 +164,7 @@ mod tests {
     }
 
     fn share(contour: &[DVec2]) -> f64 {
-        let frame = Frame {
-            world_from_sensor: crate::geometry::Pose::IDENTITY,
-            time_s: None,
-            contour_mm: contour.to_vec(),
-            cylinder: None,
-        };
+        let frame = Frame::new(crate::geometry::Pose::IDENTITY, contour.to_vec());
         Outline::of(&frame).unwrap().folded_share
     }
 

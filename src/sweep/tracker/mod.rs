@@ -298,12 +298,7 @@ mod tests {
         };
         let frame = |k: u32| {
             let time_s = 0.08 * f64::from(k);
-            Frame {
-                world_from_sensor: at(time_s),
-                time_s: Some(time_s),
-                contour_mm: Vec::new(),
-                cylinder: None,
-            }
+            Frame::new(at(time_s), Vec::new()).with_time_s(Some(time_s))
         };
         let frames: Vec<Frame> = (0..30).map(frame).collect();
         let sensors: Vec<Pose> = frames.iter().map(|f| f.world_from_sensor).collect();
