@@ -120,6 +120,7 @@ impl Arguments {
             bar.inc(1);
         }
         left_out.extend(live.flush().map_err(|e| e.in_file(&self.recording))?.left_out);
+        left_out.iter_mut().for_each(|one| one.name(&recording));
         bar.finish_and_clear();
         let vessel = live.surface();
         if vessel.triangles.is_empty() {

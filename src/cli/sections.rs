@@ -83,8 +83,8 @@ impl Arguments {
         let mesh = Surface::read(&self.mesh)?;
         let mut sections = sections(&mesh, &recording, settings.calibration.sensor_from_probe())?;
         // A frame that was left out has no plane of its own.
-        for LeftOut { frame, field, found, .. } in screening.left_out {
-            sections[frame] = LumenSection::without(frame, format!("left out: {field}: {found}"));
+        for LeftOut { place, frame, field, found, .. } in screening.left_out {
+            sections[place] = LumenSection::without(frame, format!("left out: {field}: {found}"));
         }
         let lines = self.compare(sections)?;
         let differences = absolute_differences(&lines);

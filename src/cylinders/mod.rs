@@ -153,11 +153,12 @@ impl CylinderReconstruction {
         let ready = AtomicUsize::new(0);
         let tell = |newly| progress(ready.fetch_add(newly, Ordering::Relaxed) + newly, frames.len());
         let request = FitRequest { track: &track, frames: &frames, settings, history, progress: &tell };
-        let Fit { cylinders, left_out, engine } = engine.fit(&request)?;
+        let Fit { cylinders, mut left_out, engine } = engine.fit(&request)?;
         let fit_seconds = start.elapsed().as_secs_f64();
         if let Some(first) = left_out.first().filter(|_| settings.unfit_frames == UnfitFrames::Refuse) {
             return Err(first.clone().into_error());
         }
+        left_out.iter_mut().for_each(|one| one.name(recording));
 
         let start = Instant::now();
         let vessel = MergedVessel::of(&cylinders, settings.merge);

@@ -1,5 +1,6 @@
 //! What is wrong, or may be, with the frames of a recording.
 
+use super::Recording;
 use serde::Serialize;
 use std::fmt;
 
@@ -28,7 +29,7 @@ pub struct Finding {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Example {
-    /// The frame (0-based); `None`: the recording as a whole.
+    /// The frame's [number](Recording::number); `None`: the recording as a whole.
     pub frame: Option<usize>,
     /// What was there.
     pub found: String,
@@ -51,8 +52,8 @@ impl Findings {
         Self { list: Vec::new(), of }
     }
 
-    /// Adds what was found in a frame.
-    pub fn add(&mut self, field: &'static str, expected: String, fatal: bool, frame: usize, found: String) {
+    /// Adds what was found in the frame at a place.
+    pub fn add(&mut self, field: &'static str, expected: String, fatal: bool, place: usize, found: String) {
         let at =
             self.list.iter().position(|d| d.field == field && d.expected == expected).unwrap_or_else(|| {
                 self.list.push(Finding {
@@ -69,8 +70,16 @@ impl Findings {
         let finding = &mut self.list[at];
         finding.frames += 1;
         if finding.examples.len() < Finding::MAX_EXAMPLES {
-            finding.examples.push(Example { frame: Some(frame), found });
+            finding.examples.push(Example { frame: Some(place), found });
         }
+    }
+
+    /// The findings, with frames by their [numbers](Recording::number) instead of their places.
+    pub fn named(mut self, recording: &Recording) -> Vec<Finding> {
+        for example in self.list.iter_mut().flat_map(|finding| &mut finding.examples) {
+            example.frame = example.frame.map(|place| recording.number(place));
+        }
+        self.list
     }
 
     /// Adds what was found in the recording as a whole.

@@ -70,9 +70,10 @@ impl Summary {
             }
         }
         for one in screening.left_out.iter().filter(|one| one.reason != Reason::Defect) {
-            findings.add(one.field, one.expected.clone(), false, one.frame, one.found.clone());
+            findings.add(one.field, one.expected.clone(), false, one.place, one.found.clone());
         }
-        findings.list.extend(screening.suspicions.iter().cloned());
+        let mut defects = findings.named(recording);
+        defects.extend(screening.suspicions);
 
         let steps = between(frames, |a, b| {
             a.world_from_sensor.translation_mm.distance(b.world_from_sensor.translation_mm)
@@ -105,7 +106,7 @@ impl Summary {
             cylinder_radius_mm: min_median_max(
                 frames.iter().filter_map(|f| Some(f.cylinder.as_ref()?.radius_mm)),
             ),
-            defects: findings.list,
+            defects,
             left_out: screening.left_out.len(),
             no_echo: screening.no_echo,
         }

@@ -133,6 +133,7 @@ impl LiveScreening {
     fn alone(&mut self, number: usize, frame: &Frame) -> Option<LeftOut> {
         if let Some(defect) = frame.defects().into_iter().next() {
             return Some(LeftOut {
+                place: number,
                 frame: number,
                 reason: Reason::Defect,
                 field: defect.field,
@@ -143,6 +144,7 @@ impl LiveScreening {
         let before = self.before.replace((number, frame.clone()));
         if let Some((before_number, before)) = before {
             let repeated = |field, expected: &str| LeftOut {
+                place: number,
                 frame: number,
                 reason: Reason::Repeated,
                 field,

@@ -59,7 +59,9 @@ pub struct Screening {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct LeftOut {
-    /// The frame (0-based).
+    /// The frame's place in the recording (0-based).
+    pub place: usize,
+    /// The frame's [number](Recording::number).
     pub frame: usize,
     /// The kind of reason.
     pub reason: Reason,
@@ -99,10 +101,15 @@ impl LeftOut {
     pub(crate) fn because(error: Error, reason: Reason) -> Result<Self> {
         match error {
             Error::Frame { frame, field, found, expected } => {
-                Ok(Self { frame, reason, field, found, expected })
+                Ok(Self { place: frame, frame, reason, field, found, expected })
             }
             other => Err(other),
         }
+    }
+
+    /// Gives the frame the number that it has in the recording.
+    pub(crate) fn name(&mut self, recording: &Recording) {
+        self.frame = recording.number(self.place);
     }
 
     /// The same as an error.
@@ -181,6 +188,7 @@ impl Screening {
             match frame.defects().into_iter().next() {
                 None => sound.push(k),
                 Some(defect) => left_out.push(LeftOut {
+                    place: k,
                     frame: k,
                     reason: Reason::Defect,
                     field: defect.field,
@@ -191,7 +199,7 @@ impl Screening {
         }
         let mut places: Vec<Place> = sound.iter().map(|&k| Place::of(&frames[k])).collect();
         let mut leave = |found: Vec<LeftOut>, sound: &mut Vec<usize>, places: &mut Vec<Place>| {
-            let is_left = |k: &usize| found.binary_search_by_key(k, |one| one.frame).is_ok();
+            let is_left = |k: &usize| found.binary_search_by_key(k, |one| one.place).is_ok();
             let mut kept = sound.iter().map(|k| !is_left(k));
             places.retain(|_| kept.next().unwrap_or(true));
             sound.retain(|k| !is_left(k));
@@ -201,8 +209,9 @@ impl Screening {
         leave(repeats::repeats(frames, &sound), &mut sound, &mut places);
         leave(probe::outside(frames, &sound), &mut sound, &mut places);
         leave(path::off_the_path(&sound, &places), &mut sound, &mut places);
-        left_out.sort_by_key(|one| one.frame);
+        left_out.sort_by_key(|one| one.place);
         let suspicions = suspicions::suspicions(recording, &left_out);
+        left_out.iter_mut().for_each(|one| one.name(recording));
         Self { frames: frames.len(), left_out, no_echo, suspicions }
     }
 
@@ -230,11 +239,11 @@ impl Screening {
         }
         let mut screened = recording.into_owned();
         let mut is_kept = vec![true; self.frames];
-        self.left_out.iter().for_each(|one| is_kept[one.frame] = false);
+        self.left_out.iter().for_each(|one| is_kept[one.place] = false);
         let nearest = nearest_kept(&is_kept);
-        for LeftOut { frame, .. } in &self.left_out {
-            let pose = nearest[*frame].map_or(Pose::IDENTITY, |k| screened.frames[k].world_from_sensor);
-            let empty = &mut screened.frames[*frame];
+        for LeftOut { place, .. } in &self.left_out {
+            let pose = nearest[*place].map_or(Pose::IDENTITY, |k| screened.frames[k].world_from_sensor);
+            let empty = &mut screened.frames[*place];
             empty.world_from_sensor = pose;
             empty.time_s = empty.time_s.filter(|t| t.is_finite());
             empty.contour_mm.clear();

@@ -18,12 +18,12 @@ pub struct NoEcho {
 
 impl fmt::Display for NoEcho {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} points ", self.points)?;
+        write!(f, "{} {} ", self.points, if self.points == 1 { "point" } else { "points" })?;
         match self.value_mm {
             Some([x, y]) => write!(f, "at ({x}, {y})")?,
             None => write!(f, "at infinity")?,
         }
-        write!(f, " are taken for missing echoes")
+        write!(f, ", taken for missing echoes")
     }
 }
 

@@ -149,6 +149,7 @@ impl Limits {
         let away_mm = nearest(&|n| step_mm(&n.pose, &place.pose, self.radius_mm));
         if away_mm > self.jump_mm || place.shape.is_none() {
             return LeftOut {
+                place: frame,
                 frame,
                 reason: Reason::OffPath,
                 field: "pose",
@@ -162,6 +163,7 @@ impl Limits {
         let radius = |place: &Place| place.radius_mm.unwrap_or(0.0);
         let beside = on_path.first().map_or(0.0, |place| radius(place));
         LeftOut {
+            place: frame,
             frame,
             reason: Reason::OffShape,
             field: "contour",
@@ -301,6 +303,7 @@ pub(super) fn lost(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> {
 
 pub(super) fn lost_frame(frame: usize, away_mm: f64, place: &Place) -> LeftOut {
     LeftOut {
+        place: frame,
         frame,
         reason: Reason::Lost,
         field: "pose",

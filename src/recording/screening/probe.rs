@@ -23,6 +23,7 @@ pub(super) fn outside(frames: &[Frame], numbers: &[usize]) -> Vec<LeftOut> {
 
 pub(super) fn left_out(frame: usize, by_mm: f64) -> LeftOut {
     LeftOut {
+        place: frame,
         frame,
         reason: Reason::ProbeOutside,
         field: "contour",

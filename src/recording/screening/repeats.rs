@@ -38,6 +38,7 @@ pub(super) fn repeats(frames: &[Frame], numbers: &[usize]) -> Vec<LeftOut> {
     let mut leave_out = |run: &Run, reason, field, found: &str, expected: &str| {
         for i in run.first + 1..run.first + run.length {
             left_out[i].get_or_insert_with(|| LeftOut {
+                place: numbers[i],
                 frame: numbers[i],
                 reason,
                 field,

@@ -24,7 +24,7 @@ const METRES_PATH_RADII: f64 = 0.1;
 
 /// Whatever is suspicious about the frames that are used.
 pub(super) fn suspicions(recording: &Recording, left_out: &[LeftOut]) -> Vec<Finding> {
-    let is_left = |k: usize| left_out.binary_search_by_key(&k, |one| one.frame).is_ok();
+    let is_left = |k: usize| left_out.binary_search_by_key(&k, |one| one.place).is_ok();
     let frames: Vec<(usize, &Frame)> =
         recording.frames.iter().enumerate().filter(|(k, _)| !is_left(*k)).collect();
     let mut findings = Findings::new(recording.frames.len());
@@ -67,7 +67,7 @@ pub(super) fn suspicions(recording: &Recording, left_out: &[LeftOut]) -> Vec<Fin
     if is_of_length && is_about_probe {
         findings.list.extend(convention(&frames));
     }
-    findings.list
+    findings.named(recording)
 }
 
 /// A quantity of each two consecutive frames, with the second one's number.
