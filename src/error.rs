@@ -85,6 +85,17 @@ pub enum Error {
         /// What should have been there.
         expected: String,
     },
+    /// A recording in memory cannot be used as a whole.
+    #[error("{field}: found {found}, expected {expected}")]
+    #[non_exhaustive]
+    Recording {
+        /// The quantity.
+        field: &'static str,
+        /// What was there.
+        found: String,
+        /// What should have been there.
+        expected: String,
+    },
     /// The points of a section in memory cannot be used.
     #[error("section: {field}: found {found}, expected {expected}")]
     #[non_exhaustive]
@@ -163,8 +174,8 @@ impl Error {
         }
     }
 
-    /// Says which file a frame's or a surface's error came from: turns [`Error::Frame`] and [`Error::Surface`]
-    /// into [`Error::Input`] and leaves every other error as it is.
+    /// Says which file an error came from: turns [`Error::Frame`], [`Error::Recording`] and [`Error::Surface`] into
+    /// [`Error::Input`] and leaves every other error as it is.
     #[must_use]
     pub fn in_file(self, path: &Path) -> Self {
         match self {
@@ -175,6 +186,7 @@ impl Error {
                 found,
                 expected,
             },
+            Error::Recording { field, found, expected } => Error::input(path, field, found, expected),
             Error::Surface { what, found, expected } => Error::input(path, what, found, expected),
             other => other,
         }

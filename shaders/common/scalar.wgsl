@@ -1,9 +1,9 @@
 // Sorting keys and exact sums. Twin: numerics/scalar.rs.
 
-// An unsigned integer that sorts like the number.
+// An unsigned integer that sorts like the number. The largest one marks an empty place: no NaN gets it.
 fn key_of(x: f32) -> u32 {
     let bits = bitcast<u32>(x);
-    return select(bits | 0x80000000u, ~bits, (bits >> 31u) == 1u);
+    return min(select(bits | 0x80000000u, ~bits, (bits >> 31u) == 1u), 0xfffffffeu);
 }
 
 fn number_of(key: u32) -> f32 {

@@ -1,6 +1,6 @@
 use super::reconstruct::{lumen, print_report};
 use super::settings::SettingsArguments;
-use super::{print_json, progress};
+use super::{Shown, print_json, progress};
 use crate::evaluate::{Coverage, Evaluation, Truth, evaluate_covered};
 use crate::output::write_atomically;
 use crate::reconstruction::LumenReport;
@@ -39,7 +39,7 @@ pub(super) struct Arguments {
 #[derive(Serialize)]
 struct Summary<'a> {
     seed: u64,
-    files: &'a [PathBuf],
+    files: Vec<Shown<'a>>,
     simulation: &'a simulate::SimulationSettings,
     settings: &'a Settings,
     reconstruction: LumenReport<'a>,
@@ -91,7 +91,7 @@ impl Arguments {
             .to_vec();
         let summary = Summary {
             seed: self.seed,
-            files: &files,
+            files: files.iter().map(|path| Shown(path)).collect(),
             simulation: &simulation_settings,
             settings: &settings,
             reconstruction: lumen.report(),

@@ -1,4 +1,4 @@
-use super::{print_json, read_screened};
+use super::{Shown, print_json, read_screened, refuse_inputs};
 use crate::evaluate::{
     Coverage, DEFINITIONS, Distances, Evaluation, Region, Truth, Volumes, evaluate, evaluate_covered,
 };
@@ -66,8 +66,8 @@ fn examples_and_definitions() -> String {
 
 #[derive(Serialize)]
 struct Report<'a> {
-    mesh: &'a Path,
-    truth: &'a Path,
+    mesh: Shown<'a>,
+    truth: Shown<'a>,
     #[serde(flatten)]
     evaluation: &'a Evaluation,
     volumes: Option<Volumes>,
@@ -83,6 +83,16 @@ impl Arguments {
         if let Some(out) = &self.out {
             can_carry_arrays(out)?;
         }
+        refuse_inputs(
+            [self.out.as_deref()],
+            [
+                Some(&*self.mesh),
+                Some(&*self.truth),
+                self.recording.as_deref(),
+                self.config.as_deref(),
+                self.centreline.as_deref(),
+            ],
+        )?;
         let mut mesh = Surface::read(&self.mesh)?;
         let truth = Truth::new(Surface::read(&self.truth)?).map_err(|e| e.in_file(&self.truth))?;
         let evaluation = match self.coverage(&truth)? {
@@ -99,8 +109,8 @@ impl Arguments {
         if self.json {
             let definitions = DEFINITIONS.into_iter().collect();
             let report = Report {
-                mesh: &self.mesh,
-                truth: &self.truth,
+                mesh: Shown(&self.mesh),
+                truth: Shown(&self.truth),
                 evaluation: &evaluation,
                 volumes: volumes.as_ref().ok().copied(),
                 no_volumes: volumes.as_ref().err().map(Error::to_string),

@@ -1,3 +1,4 @@
+use super::refuse_inputs;
 use crate::Result;
 use crate::cylinders::estimate::{CylinderEstimator, Upright};
 use crate::geometry::Pose;
@@ -63,6 +64,7 @@ impl Arguments {
 
 impl PullbackArguments {
     fn run(self) -> Result<()> {
+        refuse_inputs([Some(&*self.output)], [Some(&*self.contours), self.centreline.as_deref()])?;
         let centreline = self.centreline.as_deref().map(PullbackPath::read).transpose()?;
         let mut pullback = Pullback::read(&self.contours, self.centre, centreline.as_ref())?;
         if self.upright {

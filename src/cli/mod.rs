@@ -31,10 +31,13 @@ mod simulate;
 mod study;
 mod vessel;
 
+use crate::output::{self, remove_unfinished};
 use crate::recording::{Recording, Screened, Screening};
 use crate::settings::Settings;
 use crate::{Error, Result};
 use clap::{Parser, Subcommand};
+use serde::Serialize;
+use std::io::IsTerminal;
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -66,7 +69,22 @@ enum Command {
 
 /// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong.
 pub fn main() -> ExitCode {
-    let done: Result<()> = match Arguments::parse().command {
+    quiet_drivers();
+    remove_files_on_signals();
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        // clap ignores that they cannot be written.
+        Err(asked) if !asked.use_stderr() => {
+            let text = asked.render();
+            match std::io::stdout().is_terminal() {
+                true => print!("{}", text.ansi()),
+                false => print!("{text}"),
+            }
+            return ExitCode::SUCCESS;
+        }
+        Err(wrong) => wrong.exit(),
+    };
+    let done: Result<()> = match arguments.command {
         Command::Reconstruct(arguments) => arguments.run(),
         Command::Evaluate(arguments) => arguments.run(),
         Command::Sections(arguments) => arguments.run(),
@@ -92,6 +110,47 @@ pub fn main() -> ExitCode {
     }
 }
 
+/// Ends an interrupted process as usual, but without its temporary files.
+fn remove_files_on_signals() {
+    #[cfg(unix)]
+    {
+        use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+        // Without the handler the process ends as well, but leaves its temporary files.
+        let Ok(mut signals) = signal_hook::iterator::Signals::new([SIGHUP, SIGINT, SIGTERM]) else { return };
+        std::thread::spawn(move || {
+            for signal in signals.forever() {
+                remove_unfinished();
+                // Ends the process.
+                let _ = signal_hook::low_level::emulate_default_handler(signal);
+            }
+        });
+    }
+}
+
+/// Where no user is logged in, as on a server or in a container, Linux's graphics libraries complain on stderr that
+/// `XDG_RUNTIME_DIR` is missing. The process starts itself again with one; a library call cannot do that for its host.
+fn quiet_drivers() {
+    #[cfg(all(target_os = "linux", feature = "gpu"))]
+    if std::env::var_os("XDG_RUNTIME_DIR").is_none()
+        && let Ok(program) = std::env::current_exe()
+    {
+        use std::os::unix::process::CommandExt;
+        let mut again = std::process::Command::new(program);
+        again.args(std::env::args_os().skip(1)).env("XDG_RUNTIME_DIR", std::env::temp_dir());
+        // It returns only where it failed: then this process goes on, complaints and all.
+        let _ = again.exec();
+    }
+}
+
+/// Refuses outputs that are among the inputs of the same command.
+fn refuse_inputs<'a>(
+    outputs: impl IntoIterator<Item = Option<&'a Path>>,
+    inputs: impl IntoIterator<Item = Option<&'a Path>>,
+) -> Result<()> {
+    let inputs: Vec<&Path> = inputs.into_iter().flatten().collect();
+    outputs.into_iter().flatten().try_for_each(|output| output::refuse_inputs(output, inputs.iter().copied()))
+}
+
 /// Reads a recording and prepares it as [`Reconstructor::run`](crate::reconstruction::Reconstructor::run) does.
 fn read_screened(path: &Path, settings: &Settings) -> Result<(Recording, Screening)> {
     let read = Recording::read_unchecked(path)?;
@@ -109,6 +168,21 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
         .map(|part| part.trim().parse::<f64>().map_err(|_| format!("{part:?} is not a number")))
         .collect::<Result<Vec<_>, _>>()?;
     parts.try_into().map_err(|parts: Vec<f64>| format!("found {} numbers, expected {N}", parts.len()))
+}
+
+/// A path in JSON. Bytes that are no UTF-8 are replaced.
+struct Shown<'a>(&'a Path);
+
+impl Shown<'_> {
+    fn display(&self) -> std::path::Display<'_> {
+        self.0.display()
+    }
+}
+
+impl Serialize for Shown<'_> {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(&self.0.display())
+    }
 }
 
 /// Prints a value as JSON on stdout.

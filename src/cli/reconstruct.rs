@@ -1,5 +1,5 @@
 use super::settings::SettingsArguments;
-use super::{print_json, progress};
+use super::{Shown, print_json, progress, refuse_inputs};
 use crate::cylinders::{CylindersReport, write_cylinders};
 use crate::engine::EngineDescription;
 use crate::reconstruction::{Lumen, LumenReport, Reconstructor};
@@ -40,8 +40,8 @@ pub(super) struct Arguments {
 /// What `--json` prints.
 #[derive(Serialize)]
 struct Output<'a> {
-    recording: &'a PathBuf,
-    mesh: &'a PathBuf,
+    recording: Shown<'a>,
+    mesh: Shown<'a>,
     settings: &'a Settings,
     screening: &'a Screening,
     #[serde(flatten)]
@@ -59,6 +59,10 @@ impl Arguments {
             });
         }
         surface::check_ending(&self.output)?;
+        refuse_inputs(
+            [Some(&*self.output), self.cylinders.as_deref()],
+            [Some(&*self.recording), self.settings.config()],
+        )?;
         let recording = Recording::read_unchecked(&self.recording)?;
         let lumen =
             lumen(&recording, &settings, self.cylinders.is_some()).map_err(|e| e.in_file(&self.recording))?;
@@ -68,7 +72,7 @@ impl Arguments {
         lumen.surface().write(&self.output)?;
         let report = lumen.report();
         if self.json {
-            let (recording, mesh) = (&self.recording, &self.output);
+            let (recording, mesh) = (Shown(&self.recording), Shown(&self.output));
             let screening = lumen.screening();
             return print_json(&Output { recording, mesh, settings: &settings, screening, report });
         }
@@ -122,7 +126,7 @@ pub(super) fn lumen(recording: &Recording, settings: &Settings, history: bool) -
         })
         .run(recording);
     bar.finish_and_clear();
-    if let Err(Error::Frame { .. }) = &lumen {
+    if let Err(Error::Frame { .. } | Error::Recording { .. }) = &lumen {
         // What is suspicious may be why.
         let screening = Screening::of(&settings.conventions.apply(recording));
         screening.suspicions.iter().for_each(|finding| eprint!("{finding}"));

@@ -1,4 +1,4 @@
-use super::print_json;
+use super::{Shown, print_json, refuse_inputs};
 use crate::Result;
 use crate::report::render::{Style, View, check_ending, render};
 use crate::surface::Surface;
@@ -36,14 +36,15 @@ pub(super) struct Arguments {
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         check_ending(&self.output)?;
+        refuse_inputs([Some(&*self.output)], [Some(&*self.mesh)])?;
         let surface = Surface::read(&self.mesh)?;
         let style = Style { array: self.array, range: self.range, view: self.view, size: self.size };
         let picture = render(&surface, &style).map_err(|e| e.in_file(&self.mesh))?;
         picture.write(&self.output)?;
         if self.json {
             return print_json(&serde_json::json!({
-                "mesh": self.mesh,
-                "picture": self.output,
+                "mesh": Shown(&self.mesh),
+                "picture": Shown(&self.output),
                 "triangles": surface.triangles.len(),
                 "arrays": surface.arrays.iter().map(|a| &a.name).collect::<Vec<_>>(),
                 "size": style.size,

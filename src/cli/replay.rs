@@ -1,6 +1,6 @@
 use super::reconstruct::print_left_out;
 use super::settings::SettingsArguments;
-use super::{print_json, progress};
+use super::{Shown, print_json, progress, refuse_inputs};
 use crate::reconstruction::{Live, Work};
 use crate::recording::{FRAME_INTERVAL_S, Finding, LeftOut, Recording, Screening};
 use crate::settings::Settings;
@@ -38,8 +38,8 @@ pub(super) struct Arguments {
 /// What `--json` prints.
 #[derive(Serialize)]
 struct Summary<'a> {
-    recording: &'a PathBuf,
-    mesh: &'a PathBuf,
+    recording: Shown<'a>,
+    mesh: Shown<'a>,
     settings: &'a Settings,
     frames: usize,
     /// Frames that were left out, and why, in the order in which that was found.
@@ -85,6 +85,7 @@ impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         let settings = self.settings.settings()?;
         surface::check_ending(&self.output)?;
+        refuse_inputs([Some(&*self.output)], [Some(&*self.recording), self.settings.config()])?;
         let recording = Recording::read_unchecked(&self.recording)?;
         let mut live = Live::new(&settings)?;
         let frames = &recording.frames;
@@ -133,8 +134,8 @@ impl Arguments {
         }
         vessel.write(&self.output)?;
         let summary = Summary {
-            recording: &self.recording,
-            mesh: &self.output,
+            recording: Shown(&self.recording),
+            mesh: Shown(&self.output),
             settings: &settings,
             frames: frames.len(),
             left_out,

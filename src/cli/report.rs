@@ -1,6 +1,6 @@
-use super::print_json;
 use super::reconstruct::{lumen, print_report, print_screening};
 use super::settings::SettingsArguments;
+use super::{Shown, print_json, refuse_inputs};
 use crate::evaluate::{Coverage, Truth, evaluate_covered};
 use crate::output::{ending, write_atomically};
 use crate::recording::{Recording, Screened};
@@ -41,6 +41,10 @@ impl Arguments {
             let ending = ending(&self.output);
             return Err(Error::UnknownEnding { path: self.output, ending, expected: ".html" });
         }
+        refuse_inputs(
+            [Some(&*self.output)],
+            [Some(&*self.recording), self.truth.as_deref(), self.settings.config()],
+        )?;
         let recording = Recording::read_unchecked(&self.recording)?;
         let truth = self.truth.as_deref().map(|path| Truth::new(Surface::read(path)?)).transpose()?;
         let lumen = lumen(&recording, &settings, truth.is_some()).map_err(|e| e.in_file(&self.recording))?;
@@ -71,8 +75,8 @@ impl Arguments {
         write_atomically(&self.output, |w| w.write_all(page.as_bytes()))?;
         if self.json {
             return print_json(&serde_json::json!({
-                "recording": self.recording,
-                "page": self.output,
+                "recording": Shown(&self.recording),
+                "page": Shown(&self.output),
                 "screening": lumen.screening(),
                 "report": lumen.report(),
                 "evaluation": evaluation,

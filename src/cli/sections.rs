@@ -1,4 +1,4 @@
-use super::{print_json, read_screened};
+use super::{Shown, print_json, read_screened, refuse_inputs};
 use crate::evaluate::{LumenSection, read_values, sections};
 use crate::output::write_atomically;
 use crate::recording::{LeftOut, Pullback};
@@ -60,8 +60,8 @@ struct Line {
 
 #[derive(Serialize)]
 struct Output<'a> {
-    mesh: &'a Path,
-    recording: &'a Path,
+    mesh: Shown<'a>,
+    recording: Shown<'a>,
     #[serde(skip_serializing_if = "Option::is_none")]
     median_absolute_difference_percent: Option<f64>,
     /// Frames with both an area and a value of the table, over which the median is.
@@ -75,6 +75,16 @@ struct Output<'a> {
 
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
+        refuse_inputs(
+            [self.csv.as_deref()],
+            [
+                Some(&*self.mesh),
+                Some(&*self.recording),
+                self.config.as_deref(),
+                self.against.as_deref(),
+                self.numbers.as_deref(),
+            ],
+        )?;
         let settings = match &self.config {
             Some(path) => Settings::read_toml(path)?,
             None => Settings::default(),
@@ -97,8 +107,8 @@ impl Arguments {
         }
         if self.json {
             return print_json(&Output {
-                mesh: &self.mesh,
-                recording: &self.recording,
+                mesh: Shown(&self.mesh),
+                recording: Shown(&self.recording),
                 median_absolute_difference_percent: median,
                 compared: against(compared),
                 with_value: against(with_value),

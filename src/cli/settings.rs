@@ -2,7 +2,7 @@ use super::conventions::ConventionArguments;
 use super::numbers;
 use crate::settings::{Backend, Merge, Method, Outliers, Settings, Statistic, UnfitFrames};
 use crate::{Error, Result};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The settings as flags, one for each; they override a settings file, which overrides the defaults.
 #[derive(clap::Args, Default)]
@@ -81,6 +81,11 @@ pub(super) struct SettingsArguments {
 }
 
 impl SettingsArguments {
+    /// The file that is read.
+    pub(super) fn config(&self) -> Option<&Path> {
+        self.config.as_deref()
+    }
+
     /// The settings of the file, or the defaults, with the flags on top.
     pub(super) fn settings(&self) -> Result<Settings> {
         let mut settings = match &self.config {

@@ -1,12 +1,12 @@
 use super::vessel::VesselArguments;
-use super::{print_json, progress};
+use super::{Shown, print_json, progress, refuse_inputs};
 use crate::simulate::{
     Centreline, Insertion, Noise, Phantom, Probe, ReducedBend, Simulation, SimulationSettings, TrackerNoise,
 };
 use crate::surface;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Simulate a recording in a vessel of known geometry
 #[derive(clap::Args)]
@@ -142,7 +142,7 @@ struct Config {
 /// What `--json` prints.
 #[derive(Serialize)]
 struct Summary<'a> {
-    recording: &'a Path,
+    recording: Shown<'a>,
     vessel: &'a str,
     triangles: usize,
     branches: usize,
@@ -156,9 +156,9 @@ struct Summary<'a> {
     reduced_bends: &'a [ReducedBend],
     tracker: &'a Option<TrackerNoise>,
     settings: &'a SimulationSettings,
-    truth: &'a Option<PathBuf>,
-    truth_centreline: &'a Option<PathBuf>,
-    truth_recording: &'a Option<PathBuf>,
+    truth: Option<Shown<'a>>,
+    truth_centreline: Option<Shown<'a>>,
+    truth_recording: Option<Shown<'a>>,
 }
 
 impl Arguments {
@@ -166,6 +166,16 @@ impl Arguments {
         if let Some(path) = &self.truth {
             surface::check_ending(path)?;
         }
+        let [surface, centreline] = self.vessel.inputs();
+        refuse_inputs(
+            [
+                Some(&*self.output),
+                self.truth.as_deref(),
+                self.truth_centreline.as_deref(),
+                self.truth_recording.as_deref(),
+            ],
+            [surface, centreline, self.settings.config.as_deref(), self.settings.tracker_noise.as_deref()],
+        )?;
         let config = self.settings.config()?;
         let (name, vessel) = self.vessel.vessel(config.vessel)?;
         let mut settings = SimulationSettings {
@@ -198,7 +208,7 @@ impl Arguments {
         let missing_echoes = frames.iter().map(|f| f.missing_echoes()).sum();
         let vessel = &simulation.vessel;
         let summary = Summary {
-            recording: &self.output,
+            recording: Shown(&self.output),
             vessel: &name,
             triangles: vessel.surface().triangles.len(),
             branches: vessel.branches().len(),
@@ -215,9 +225,9 @@ impl Arguments {
             reduced_bends: &simulation.reduced_bends,
             tracker: &tracker,
             settings: &settings,
-            truth: &self.truth,
-            truth_centreline: &self.truth_centreline,
-            truth_recording: &self.truth_recording,
+            truth: self.truth.as_deref().map(Shown),
+            truth_centreline: self.truth_centreline.as_deref().map(Shown),
+            truth_recording: self.truth_recording.as_deref().map(Shown),
         };
         if self.json {
             return print_json(&summary);
@@ -322,13 +332,13 @@ impl Summary<'_> {
             );
         }
         println!("recording  {}", self.recording.display());
-        if let Some(path) = self.truth {
+        if let Some(path) = &self.truth {
             println!("truth      {}", path.display());
         }
-        if let Some(path) = self.truth_centreline {
+        if let Some(path) = &self.truth_centreline {
             println!("centreline {}", path.display());
         }
-        if let Some(path) = self.truth_recording {
+        if let Some(path) = &self.truth_recording {
             println!("truth      {}", path.display());
         }
     }

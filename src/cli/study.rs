@@ -1,4 +1,4 @@
-use super::{print_json, progress, read_screened};
+use super::{print_json, progress, read_screened, refuse_inputs};
 use crate::cylinders::fit::engine;
 use crate::evaluate::Truth;
 use crate::output::write_atomically;
@@ -60,6 +60,10 @@ pub(super) struct Arguments {
 
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
+        refuse_inputs(
+            [self.output.as_deref(), self.plot.as_deref()],
+            [Some(&*self.recording), Some(&*self.truth), self.config.as_deref()],
+        )?;
         let settings = match &self.config {
             Some(path) => Settings::read_toml(path)?,
             None => Settings::default(),

@@ -18,6 +18,11 @@ pub(super) struct VesselArguments {
 }
 
 impl VesselArguments {
+    /// The files that are read.
+    pub(super) fn inputs(&self) -> [Option<&Path>; 2] {
+        [self.vessel.as_deref().map(Path::new), self.centreline.as_deref()]
+    }
+
     /// The vessel and its name. The flag takes precedence over a configured phantom.
     pub fn vessel(&self, configured: Option<Phantom>) -> Result<(String, SimulatedVessel)> {
         let flag = self.vessel.as_deref();

@@ -134,8 +134,7 @@ impl CylinderReconstruction {
         let seen: Vec<usize> =
             (0..track.len()).filter(|&k| recording.frames[k].echoes_mm().next().is_some()).collect();
         if seen.is_empty() {
-            return Err(Error::Frame {
-                frame: 0,
+            return Err(Error::Recording {
                 field: "contours",
                 found: format!("no echo in {} frames", track.len()),
                 expected: "contours along a vessel".into(),

@@ -2,7 +2,7 @@
 
 use crate::geometry::Pose;
 use crate::recording::{Recording, Table};
-use crate::surface::{SectionOutline, Surface};
+use crate::surface::{Cutter, SectionOutline, Surface};
 use crate::{Error, Result};
 use glam::DVec2;
 use serde::Serialize;
@@ -51,8 +51,9 @@ impl LumenSection {
 /// # Errors
 /// As [`Surface::check`].
 pub fn sections(mesh: &Surface, recording: &Recording, sensor_from_probe: Pose) -> Result<Vec<LumenSection>> {
+    let cutter = Cutter::new(mesh)?;
     let measure = |(frame, pose): (usize, Pose)| {
-        let cut = mesh.cut(&pose)?;
+        let cut = cutter.cut(&pose);
         let away = |outline: &SectionOutline| match outline.contains(DVec2::ZERO) {
             true => 0.0,
             false => outline.distance_mm(DVec2::ZERO),
@@ -68,7 +69,7 @@ pub fn sections(mesh: &Surface, recording: &Recording, sensor_from_probe: Pose) 
         };
         let [least, greatest] = nearest.and_then(SectionOutline::diameters_mm).unwrap_or([f64::NAN; 2]);
         let area_mm2 = nearest.map_or(f64::NAN, SectionOutline::area_mm2);
-        Ok(LumenSection {
+        LumenSection {
             frame,
             area_mm2,
             perimeter_mm: nearest.map_or(f64::NAN, SectionOutline::perimeter_mm),
@@ -76,10 +77,10 @@ pub fn sections(mesh: &Surface, recording: &Recording, sensor_from_probe: Pose) 
             greatest_diameter_mm: greatest,
             equivalent_diameter_mm: 2.0 * (area_mm2 / PI).sqrt(),
             remark,
-        })
+        }
     };
     let poses = recording.frames.iter().map(|frame| frame.world_from_sensor * sensor_from_probe);
-    poses.enumerate().map(measure).collect()
+    Ok(poses.enumerate().map(measure).collect())
 }
 
 /// Reads a value per frame, such as areas measured by hand: a table with a column `frame` and another of any name.

@@ -3,10 +3,30 @@
 use super::GpuError;
 use serde::Serialize;
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-/// Longest time that a submission may take.
-const DEVICE_TIMEOUT: Duration = Duration::from_secs(120);
+/// A device's memory in use, and how often a submission goes over it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Job {
+    /// Bytes of device memory.
+    pub bytes: u64,
+    /// Rounds, such as the iterations of a fit.
+    pub rounds: u64,
+}
+
+/// Time that any submission may take: a driver may have to compile its shaders first.
+const LEAST_LIMIT: Duration = Duration::from_secs(20);
+/// A callback of a finished submission comes within this time.
+const CALLBACK_LIMIT: Duration = Duration::from_secs(1);
+/// Bytes that the slowest device, a program on one core, goes over in a second, a tenth of what was measured.
+const BYTES_PER_SECOND: u64 = 20_000_000;
+
+impl Job {
+    /// Longest time that its submission may take.
+    fn time_limit(self) -> Duration {
+        LEAST_LIMIT + Duration::from_secs(self.bytes.saturating_mul(self.rounds) / BYTES_PER_SECOND)
+    }
+}
 
 /// An adapter, described for a person.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -190,14 +210,14 @@ impl Context {
         }
     }
 
-    /// Submits what `record` records, waits for it, and reads some buffers back, whole. `needed` is the
-    /// device memory of the whole job, in bytes.
+    /// Submits what `record` records, waits for it, and reads some buffers back, whole.
     pub(crate) fn run(
         &self,
-        needed: u64,
+        job: Job,
         buffers: &[&wgpu::Buffer],
         record: impl FnOnce(&mut wgpu::CommandEncoder) -> Result<(), GpuError>,
     ) -> Result<Vec<Vec<u8>>, GpuError> {
+        self.alive()?;
         let device = &self.device;
         let mut copies = Vec::new();
         let submission = checked(device, "submission", || -> Result<_, GpuError> {
@@ -215,7 +235,7 @@ impl Context {
             }
             Ok(self.queue.submit([encoder.finish()]))
         })
-        .map_err(|error| error.with_needed(needed))??;
+        .map_err(|error| error.with_needed(job.bytes))??;
         let (sender, receiver) = mpsc::channel();
         for copy in &copies {
             let sender = sender.clone();
@@ -224,14 +244,17 @@ impl Context {
                 let _ = sender.send(mapped);
             });
         }
-        self.wait(submission)?;
+        let limit = job.time_limit();
+        let deadline = Instant::now() + limit;
+        self.wait(submission, limit)?;
         for _ in &copies {
             // Where several threads use the device, another thread's wait may call our callbacks, a moment
             // after ours has returned.
-            match receiver.recv_timeout(DEVICE_TIMEOUT) {
+            let left = deadline.saturating_duration_since(Instant::now()).max(CALLBACK_LIMIT);
+            match receiver.recv_timeout(left) {
                 Ok(Ok(())) => {}
                 Ok(Err(error)) => return Err(GpuError::Lost { reason: error.to_string() }),
-                Err(_) => return Err(GpuError::Timeout { seconds: DEVICE_TIMEOUT.as_secs() }),
+                Err(_) => return Err(self.timed_out(limit)),
             }
         }
         copies
@@ -243,17 +266,24 @@ impl Context {
             .collect()
     }
 
-    /// Waits for a submission, at most for [`DEVICE_TIMEOUT`].
-    fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), GpuError> {
+    /// Waits for a submission, at most so long.
+    fn wait(&self, submission: wgpu::SubmissionIndex, limit: Duration) -> Result<(), GpuError> {
         let poll = self
             .device
-            .poll(wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(DEVICE_TIMEOUT) });
+            .poll(wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(limit) });
         self.alive()?;
         match poll {
             Ok(_) => Ok(()),
-            Err(wgpu::PollError::Timeout) => Err(GpuError::Timeout { seconds: DEVICE_TIMEOUT.as_secs() }),
+            Err(wgpu::PollError::Timeout) => Err(self.timed_out(limit)),
             Err(other) => Err(GpuError::Lost { reason: other.to_string() }),
         }
+    }
+
+    /// What hangs once is not waited for again: every later call fails at once.
+    fn timed_out(&self, limit: Duration) -> GpuError {
+        let error = GpuError::Timeout { seconds: limit.as_secs() };
+        self.report.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error.to_string());
+        error
     }
 }
 

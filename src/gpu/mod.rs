@@ -14,6 +14,6 @@ pub use error::GpuError;
 pub use runner::PassTimes;
 
 pub(crate) use buffers::Buffers;
-pub(crate) use context::{Context, checked};
+pub(crate) use context::{Context, Job, checked};
 pub(crate) use runner::{ReadyPass, Runner, Timer, dispatch_size};
 pub(crate) use shader::{Access, Binding, Pass, Pipeline, Shader, constants};

@@ -1,7 +1,7 @@
 //! A pass table made ready on a device: what the engines of both methods share.
 
 use super::shader::Pass;
-use super::{AdapterDescription, Context, GpuError, Pipeline, checked};
+use super::{AdapterDescription, Context, GpuError, Job, Pipeline, checked};
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -86,16 +86,15 @@ impl<Stage, Items> Runner<Stage, Items> {
     }
 
     /// Submits what `record` records, waits for it, and reads some buffers back, whole. `record` gets the
-    /// timer of its passes: where that gives timestamps, the pass needs a compute pass of its own. `needed`
-    /// is the device memory of the whole job, in bytes.
+    /// timer of its passes: where that gives timestamps, the pass needs a compute pass of its own.
     pub(crate) fn run(
         &self,
-        needed: u64,
+        job: Job,
         buffers: &[&wgpu::Buffer],
         record: impl FnOnce(&mut wgpu::CommandEncoder, &mut Timer) -> Result<(), GpuError>,
     ) -> Result<Vec<Vec<u8>>, GpuError> {
         if self.times().is_none() {
-            return self.context.run(needed, buffers, |encoder| record(encoder, &mut |_| None));
+            return self.context.run(job, buffers, |encoder| record(encoder, &mut |_| None));
         }
         let queries = self.context.device.create_query_set(&wgpu::QuerySetDescriptor {
             label: None,
@@ -109,7 +108,7 @@ impl<Stage, Items> Runner<Stage, Items> {
             mapped_at_creation: false,
         });
         let mut names = Vec::new();
-        let mut read = self.context.run(needed, &[buffers, &[&resolved]].concat(), |encoder| {
+        let mut read = self.context.run(job, &[buffers, &[&resolved]].concat(), |encoder| {
             record(encoder, &mut |name| {
                 let first = 2 * names.len() as u32;
                 names.push(name);
@@ -149,7 +148,7 @@ impl<Stage, Items> Runner<Stage, Items> {
         pass: &str,
         inputs: &[(&str, &[u8])],
         outputs: &[&str],
-        needed: u64,
+        bytes: u64,
         find: impl Fn(&str) -> Option<&'a wgpu::Buffer>,
         record: impl FnOnce(&ReadyPass<Stage, Items>, &mut wgpu::CommandEncoder) -> Result<(), GpuError>,
     ) -> Result<Vec<Vec<u8>>, GpuError> {
@@ -169,7 +168,7 @@ impl<Stage, Items> Runner<Stage, Items> {
         for (buffer, bytes) in inputs {
             write(buffer, bytes)?;
         }
-        self.run(needed, &outputs, |encoder, _| record(ready, encoder))
+        self.run(Job { bytes, rounds: 1 }, &outputs, |encoder, _| record(ready, encoder))
     }
 }
 

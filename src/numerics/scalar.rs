@@ -97,7 +97,8 @@ impl Scalar for f32 {
     #[inline(always)]
     fn key(self) -> i32 {
         let bits = self.to_bits() as i32;
-        bits ^ ((bits >> 31) & i32::MAX)
+        // The largest key marks an empty place on the device: no number has it, and no NaN gets it.
+        (bits ^ ((bits >> 31) & i32::MAX)).min(i32::MAX - 1)
     }
     #[inline(always)]
     fn from_key(key: i32) -> f32 {

@@ -177,8 +177,7 @@ impl Recording {
     /// [`Error::Frame`] with the first frame to blame.
     pub fn check(&self) -> Result<()> {
         if self.frames.is_empty() {
-            return Err(Error::Frame {
-                frame: 0,
+            return Err(Error::Recording {
                 field: "frames",
                 found: "0 frames".into(),
                 expected: "at least 1".into(),

@@ -3,7 +3,9 @@
 use super::Surface;
 use crate::Result;
 use crate::geometry::{Pose, polygon};
-use glam::DVec2;
+use glam::{DVec2, DVec3};
+use parry3d::bounding_volume::Aabb;
+use parry3d::partitioning::{Bvh, BvhBuildStrategy, BvhNode};
 use std::collections::BTreeMap;
 
 /// The curves in which a plane cuts a surface.
@@ -33,21 +35,30 @@ impl Surface {
     /// As [`Surface::check`].
     pub fn cut(&self, world_from_plane: &Pose) -> Result<Cut> {
         self.check()?;
+        Ok(self.cut_among(&self.triangles, world_from_plane))
+    }
+
+    /// Cuts some of the triangles. The surface is valid.
+    fn cut_among<'a>(
+        &self,
+        triangles: impl IntoIterator<Item = &'a [u32; 3]>,
+        world_from_plane: &Pose,
+    ) -> Cut {
         let plane_from_world = world_from_plane.inverse();
-        let nodes: Vec<_> = self.nodes_mm.iter().map(|&n| plane_from_world.transform_point(n)).collect();
-        let above = |node: u32| nodes[node as usize].z >= 0.0;
+        let in_plane = |node: u32| plane_from_world.transform_point(self.nodes_mm[node as usize]);
+        let above = |node: u32| in_plane(node).z >= 0.0;
 
         // Every cut edge gives a point of the curves, and every cut triangle joins two of them.
         let mut points_mm: Vec<DVec2> = Vec::new();
         let mut joined: Vec<Vec<usize>> = Vec::new();
         let mut by_edge: BTreeMap<[u32; 2], usize> = BTreeMap::new();
-        for &[a, b, c] in &self.triangles {
+        for &[a, b, c] in triangles {
             let mut ends = [0; 2];
             let mut found = 0;
             for [p, q] in [[a, b], [b, c], [c, a]].into_iter().filter(|&[p, q]| above(p) != above(q)) {
                 let edge = [p.min(q), p.max(q)];
                 ends[found] = *by_edge.entry(edge).or_insert_with(|| {
-                    let [low, high] = edge.map(|n| nodes[n as usize]);
+                    let [low, high] = edge.map(in_plane);
                     points_mm.push(low.lerp(high, low.z / (low.z - high.z)).truncate());
                     joined.push(Vec::new());
                     points_mm.len() - 1
@@ -74,7 +85,59 @@ impl Surface {
                 cut.open += 1;
             }
         }
-        Ok(cut)
+        cut
+    }
+}
+
+/// Cuts one surface by many planes: a tree of boxes over its triangles finds those that a plane can cross, so that a cut
+/// takes time for the curve rather than for the surface.
+pub struct Cutter<'a> {
+    surface: &'a Surface,
+    tree: Bvh,
+    /// Boxes are in single precision, about the surface's centre and in units of its size.
+    centre_mm: DVec3,
+    size_mm: f64,
+}
+
+/// By how much boxes are too large on each side: more than the rounding of their coordinates.
+const SLACK: f64 = 1e-6;
+
+impl<'a> Cutter<'a> {
+    /// Builds the tree.
+    ///
+    /// # Errors
+    /// As [`Surface::check`].
+    pub fn new(surface: &'a Surface) -> Result<Self> {
+        surface.check()?;
+        let (low, high) = surface
+            .nodes_mm
+            .iter()
+            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &p| (low.min(p), high.max(p)));
+        let (centre_mm, size_mm) = (low.midpoint(high), low.distance(high).max(f64::MIN_POSITIVE));
+        let around = |triangle: &[u32; 3]| {
+            let [a, b, c] = triangle.map(|node| (surface.nodes_mm[node as usize] - centre_mm) / size_mm);
+            let (low, high) = (a.min(b).min(c) - SLACK, a.max(b).max(c) + SLACK);
+            Aabb::new(low.as_vec3(), high.as_vec3())
+        };
+        let boxes: Vec<Aabb> = surface.triangles.iter().map(around).collect();
+        let tree = Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes);
+        Ok(Self { surface, tree, centre_mm, size_mm })
+    }
+
+    /// The cut of [`Surface::cut`].
+    pub fn cut(&self, world_from_plane: &Pose) -> Cut {
+        let normal = world_from_plane.rotation.z_axis;
+        let offset = (world_from_plane.translation_mm - self.centre_mm).dot(normal) / self.size_mm;
+        let crosses = |node: &BvhNode| {
+            let (low, high) = (node.mins().as_dvec3(), node.maxs().as_dvec3());
+            let reach = (high - low).dot(normal.abs()) / 2.0;
+            (low.midpoint(high).dot(normal) - offset).abs() <= reach + SLACK
+        };
+        let mut triangles: Vec<u32> = self.tree.leaves(crosses).collect();
+        // The order in which the surface has them.
+        triangles.sort_unstable();
+        let triangles = triangles.iter().map(|&t| &self.surface.triangles[t as usize]);
+        self.surface.cut_among(triangles, world_from_plane)
     }
 }
 
@@ -167,7 +230,7 @@ impl SectionOutline {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::{DQuat, DVec3};
+    use glam::{DMat3, DQuat};
     use std::f64::consts::TAU;
 
     /// A tube about z of 200 nodes per ring and the given radii at z = 0, 1, 2, …, squeezed by half along y.
@@ -234,6 +297,29 @@ mod tests {
         assert_eq!(outlines.len(), 2);
         assert!(outlines[0].contains(DVec2::ZERO) && !outlines[1].contains(DVec2::ZERO));
         assert!((outlines[1].distance_mm(DVec2::ZERO) - 8.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_cutter_cuts_as_the_surface_does() {
+        let surface = tube(&[4.0, 5.0, 3.0, 6.0, 2.0, 4.0]);
+        let cutter = Cutter::new(&surface).unwrap();
+        let mut cuts = 0;
+        for k in 0..200 {
+            let angle = 0.37 * f64::from(k);
+            let plane = Pose {
+                rotation: DMat3::from_rotation_x(angle) * DMat3::from_rotation_y(1.3 * angle),
+                translation_mm: DVec3::new(angle.sin() * 3.0, angle.cos() * 3.0, f64::from(k % 7)),
+            };
+            let cut = surface.cut(&plane).unwrap();
+            cuts += cut.outlines.len() + cut.open;
+            assert_eq!(cutter.cut(&plane), cut);
+        }
+        assert!(cuts > 100, "{cuts}");
+        // A plane through nodes, and one that misses.
+        for z in [0.0, 1.0, 1e3] {
+            let plane = Pose { translation_mm: DVec3::Z * z, ..Pose::IDENTITY };
+            assert_eq!(cutter.cut(&plane), surface.cut(&plane).unwrap());
+        }
     }
 
     #[test]

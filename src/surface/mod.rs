@@ -4,7 +4,7 @@ mod cut;
 mod formats;
 mod topology;
 
-pub use cut::{Cut, SectionOutline};
+pub use cut::{Cut, Cutter, SectionOutline};
 pub use topology::Topology;
 
 use crate::{Error, Result, output};

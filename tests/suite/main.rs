@@ -17,6 +17,8 @@ mod golden;
 mod layers;
 mod live;
 mod method;
+#[cfg(all(feature = "cli", unix))]
+mod outputs;
 #[cfg(feature = "cli")]
 mod reconstruct_command;
 mod recording;

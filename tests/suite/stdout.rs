@@ -16,9 +16,16 @@ fn lumenmesh(arguments: &[&str], folder: &Path, stdout: impl Into<Stdio>) -> Out
     command.args(arguments).current_dir(folder).stdout(stdout).output().unwrap()
 }
 
+/// A folder with the files that the commands read.
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    assert!(lumenmesh(&["demo"], folder.path(), Stdio::null()).status.success());
+    folder
+}
+
 #[test]
 fn a_reader_that_has_seen_enough_ends_the_command_quietly() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = folder();
     for arguments in COMMANDS {
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
@@ -31,8 +38,8 @@ fn a_reader_that_has_seen_enough_ends_the_command_quietly() {
 #[test]
 #[cfg(target_os = "linux")]
 fn a_full_disk_behind_stdout_is_said() {
-    let folder = tempfile::tempdir().unwrap();
-    for arguments in COMMANDS {
+    let folder = folder();
+    for arguments in COMMANDS.into_iter().chain([&["--help"][..], &["--version"]]) {
         let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
         let done = lumenmesh(arguments, folder.path(), full);
         let message = String::from_utf8_lossy(&done.stderr);

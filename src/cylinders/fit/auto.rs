@@ -62,7 +62,11 @@ impl AutoEngine {
             match self.device(settings.adapter.as_deref()) {
                 Err(why) => on_cpu(why),
                 Ok(gpu) => match work(&*gpu) {
-                    Err(crate::Error::Gpu(failure)) => on_cpu(format!("the device failed: {failure}")),
+                    Err(crate::Error::Gpu(failure)) => {
+                        // It may be lost: the next call looks for one again.
+                        *locked(&self.device) = None;
+                        on_cpu(format!("the device failed: {failure}"))
+                    }
                     done => Ok((done?, format!("the work is about {cpu_seconds:.1} s on the CPU"))),
                 },
             }

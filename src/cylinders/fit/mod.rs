@@ -19,7 +19,7 @@ use super::track::Track;
 use super::tube::Tube;
 use crate::engine::EngineDescription;
 use crate::geometry::Pose;
-use crate::recording::{LeftOut, Reason};
+use crate::recording::{LeftOut, MAX_RADIUS_MM, Reason};
 #[cfg(not(feature = "gpu"))]
 use crate::settings::no_gpu_engine;
 use crate::settings::{Backend, Settings};
@@ -85,20 +85,24 @@ pub fn engine(settings: &Settings) -> Result<Box<dyn Engine>> {
     })
 }
 
+/// Largest coordinate of a point in a section from outside.
+const MAX_COORDINATE: f32 = 1e9;
+
 /// Refuses points or a radius from outside that are not finite, or a radius that is not positive.
 fn check_section(section: &Section<f32>, radius_mm: f64) -> Result<()> {
     let fail =
         |field, found, expected: &str| Err(Error::Section { field, found, expected: expected.to_owned() });
-    if !(radius_mm.is_finite() && radius_mm > 0.0) {
-        return fail("radius_mm", radius_mm.to_string(), "more than 0 mm");
+    // Squares and products of what passes are finite in single precision.
+    if !(0.0 < radius_mm && radius_mm <= MAX_RADIUS_MM) {
+        return fail("radius_mm", radius_mm.to_string(), "more than 0 and at most 10000 mm");
     }
     let count = section.len();
     for (field, values) in [("r", &section.r), ("theta", &section.theta), ("z", &section.z)] {
         if values.len() != count {
             return fail(field, format!("{} numbers", values.len()), &format!("{count}, as many as r"));
         }
-        if let Some(point) = values.iter().position(|x| !x.is_finite()) {
-            return fail(field, format!("{} at point {point}", values[point]), "finite numbers");
+        if let Some(point) = values.iter().position(|x| x.is_nan() || x.abs() > MAX_COORDINATE) {
+            return fail(field, format!("{} at point {point}", values[point]), "finite numbers, at most 1e9");
         }
     }
     Ok(())

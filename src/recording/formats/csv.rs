@@ -14,12 +14,13 @@ use super::rising_numbers;
 use super::status::StatusColumn;
 use super::table::{Column, Table, TableRow};
 use crate::geometry::Pose;
-use crate::output::write_atomically;
+use crate::output::{Unfinished, folder_of, lock, permissions_of_new, write_atomically};
 use crate::recording::CylinderModel;
 use crate::recording::{Frame, Recording};
 use crate::{Error, Result};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::path::Path;
 
 const POSES: &str = "poses.csv";
@@ -30,6 +31,7 @@ const CYLINDERS: &str = "cylinders.csv";
 const UNIT_TOLERANCE: f64 = 1e-3;
 
 pub(in crate::recording) fn read(folder: &Path) -> Result<Recording> {
+    let _unchanged = locked(folder, Use::Read);
     let mut frames = read_poses(&folder.join(POSES))?;
 
     let mut contours = Table::open(&folder.join(CONTOURS))?;
@@ -146,14 +148,21 @@ fn rotation(q: DQuat) -> DMat3 {
 
 /// A new folder is created as a whole. In an existing folder each of the three files is replaced as a whole.
 pub(in crate::recording) fn write(recording: &Recording, folder: &Path) -> Result<()> {
-    let failed = |source| Error::Write { path: folder.to_owned(), source };
-    let parent = match folder.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    let neighbour = tempfile::Builder::new().prefix(".lumenmesh-").tempdir_in(parent).map_err(failed)?;
+    let failed = |source: std::io::Error| Error::Write { path: folder.to_owned(), source };
+    let parent = folder_of(folder);
+    std::fs::metadata(parent).map_err(failed)?;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".lumenmesh-");
+    if let Some(permissions) = permissions_of_new(0o777) {
+        builder.permissions(permissions);
+    }
+    let neighbour = builder.tempdir_in(parent).map_err(|e| failed(std::io::Error::from(e.kind())))?;
+    let _unfinished = Unfinished::new(neighbour.path());
     write_files(recording, neighbour.path())?;
     if folder.is_dir() {
+        // Other processes that read or write this recording wait meanwhile.
+        let _alone = locked(folder, Use::Write);
+        let _committing = lock();
         for name in [POSES, CONTOURS, CYLINDERS] {
             let (from, to) = (neighbour.path().join(name), folder.join(name));
             if from.exists() {
@@ -163,11 +172,26 @@ pub(in crate::recording) fn write(recording: &Recording, folder: &Path) -> Resul
             }
         }
     } else {
-        open_to_all(neighbour.path()).map_err(failed)?;
+        let _committing = lock();
         std::fs::rename(neighbour.path(), folder).map_err(failed)?;
         let _renamed = neighbour.keep();
     }
     Ok(())
+}
+
+/// What a folder is locked for.
+#[derive(Clone, Copy, PartialEq)]
+enum Use {
+    Read,
+    Write,
+}
+
+/// Holds a folder so that no other process replaces its files in the meantime, until the result is dropped. Where the
+/// system cannot, nothing is held.
+fn locked(folder: &Path, what_for: Use) -> Option<File> {
+    let file = File::open(folder).ok()?;
+    let held = if what_for == Use::Write { file.lock() } else { file.lock_shared() };
+    held.ok().map(|()| file)
 }
 
 fn write_files(recording: &Recording, folder: &Path) -> Result<()> {
@@ -200,16 +224,4 @@ fn write_files(recording: &Recording, folder: &Path) -> Result<()> {
         }
         Ok(())
     })
-}
-
-/// A temporary folder is private by default; a result is not.
-#[cfg(unix)]
-fn open_to_all(folder: &Path) -> std::io::Result<()> {
-    use std::os::unix::fs::PermissionsExt;
-    std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o755))
-}
-
-#[cfg(not(unix))]
-fn open_to_all(_: &Path) -> std::io::Result<()> {
-    Ok(())
 }

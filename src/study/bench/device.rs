@@ -6,6 +6,7 @@ use crate::cylinders::Tube;
 use crate::cylinders::fit::gpu::{FitWorkspace, GpuEngine, PASSES};
 use crate::cylinders::fit::{Engine, group};
 use crate::cylinders::passes::Section;
+use crate::gpu::Job;
 use crate::settings::Settings;
 use std::collections::BTreeMap;
 
@@ -62,7 +63,7 @@ impl Device {
 
     /// Submits what is recorded and waits for it.
     fn submit(&self, record: impl FnOnce(&mut wgpu::CommandEncoder)) -> Result<()> {
-        self.engine.runner().run(0, &[], |encoder, _| {
+        self.engine.runner().run(Job { bytes: 0, rounds: 1 }, &[], |encoder, _| {
             record(encoder);
             Ok(())
         })?;
@@ -85,8 +86,9 @@ impl Device {
             self.submit(|_| ())
         })?;
         let resident = Times::measure(repeats, || engine.run_resident(&workspace))?;
-        let readback =
-            Times::measure(repeats, || Ok(engine.runner().run(0, &[workspace.radii()], |_, _| Ok(()))?))?;
+        let readback = Times::measure(repeats, || {
+            Ok(engine.runner().run(Job { bytes: 0, rounds: 1 }, &[workspace.radii()], |_, _| Ok(()))?)
+        })?;
         let passes = self.time_passes(&workspace, section, settings, repeats)?;
         Ok(DeviceRow { end_to_end, upload, resident, readback, passes })
     }

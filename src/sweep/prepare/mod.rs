@@ -72,8 +72,7 @@ impl<'a> Prepared<'a> {
             false => None,
         };
         let Some(curve) = curve else {
-            return Err(Error::Frame {
-                frame: 0,
+            return Err(Error::Recording {
                 field: "centreline",
                 found: format!("contours in {} frames that cover no length", centres_mm.len()),
                 expected: "contours along at least a lumen's radius of the vessel".into(),

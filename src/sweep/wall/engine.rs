@@ -58,8 +58,7 @@ pub(in crate::sweep) fn fit(
                         let why = format!("the work is about {cpu_seconds:.1} s on the CPU");
                         return Ok((wall, EngineDescription { why: Some(why), ..engine.describe() }));
                     }
-                    Err(crate::Error::Gpu(failure)) => format!("the device failed: {failure}"),
-                    Err(other) => return Err(other),
+                    Err(failure) => format!("the device failed: {failure}"),
                 },
             };
             #[cfg(not(feature = "gpu"))]

@@ -20,7 +20,7 @@ use super::{
 use crate::cylinders::passes::{DeviceCylinder, DevicePair, Section};
 use crate::cylinders::track::{NearFrame, empty_section};
 use crate::cylinders::tube::Tube;
-use crate::gpu::{AdapterDescription, Context, GpuError, Runner, Timer};
+use crate::gpu::{AdapterDescription, Context, GpuError, Job, Runner, Timer};
 use crate::settings::Settings;
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -209,7 +209,8 @@ impl GpuEngine {
         record: impl FnOnce(&mut wgpu::CommandEncoder, &mut Timer) -> Result<(), GpuError>,
     ) -> Result<Vec<Vec<u8>>, GpuError> {
         let buffers: Vec<&wgpu::Buffer> = names.iter().map(|name| workspace.buffer(name)).collect();
-        self.runner.run(workspace.bytes(), &buffers, record)
+        let job = Job { bytes: workspace.bytes(), rounds: u64::from(workspace.iterations()) + 1 };
+        self.runner.run(job, &buffers, record)
     }
 
     /// Runs a workspace and reads its tubes back. With the sections of its cylinders, the CPU's stages run first.

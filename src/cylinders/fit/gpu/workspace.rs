@@ -90,6 +90,11 @@ fn long_groups(context: &Context, max_long: u64) -> u64 {
 }
 
 impl FitWorkspace {
+    /// Iterations of its fit.
+    pub(super) fn iterations(&self) -> u32 {
+        self.iterations
+    }
+
     pub(super) fn new(
         context: &Context,
         passes: &[ReadyPass],

@@ -8,7 +8,7 @@ pub use workspace::WallWorkspace;
 
 use crate::Result;
 use crate::engine::EngineDescription;
-use crate::gpu::{AdapterDescription, Context, GpuError, PassTimes, Runner};
+use crate::gpu::{AdapterDescription, Context, GpuError, Job, PassTimes, Runner};
 use crate::numerics::banded::Dissected;
 use crate::recording::echo_error::OUT_OF_PLANE;
 use crate::sweep::prepare::{echo, grid::WallGrid};
@@ -129,7 +129,8 @@ impl GpuWallEngine {
     ) -> Result<Vec<Vec<u8>>, GpuError> {
         let Runner { context, passes, .. } = &self.runner;
         let of = |stage: Stage| passes.iter().filter(move |ready| ready.pass.stage == stage);
-        self.runner.run(workspace.bytes(), buffers, |encoder, timer| {
+        let job = Job { bytes: workspace.bytes(), rounds: stages.len() as u64 };
+        self.runner.run(job, buffers, |encoder, timer| {
             prepare(encoder);
             workspace.record(context, stages.iter().copied().flat_map(of), encoder, timer)
         })
