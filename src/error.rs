@@ -131,6 +131,22 @@ fn frame_prefix(frame: Option<usize>) -> String {
     frame.map(|k| format!("frame {k}: ")).unwrap_or_default()
 }
 
+/// A text without control characters and of bounded length; twice the same as once.
+fn printable(text: &str) -> String {
+    const LONGEST: usize = 240;
+    let mut shown = String::new();
+    for c in text.chars() {
+        match c {
+            '\\' | '"' | '\'' => shown.push(c),
+            _ => shown.extend(c.escape_debug()),
+        }
+        if shown.len() > LONGEST {
+            return shown.chars().take(LONGEST - 4).chain("…".chars()).collect();
+        }
+    }
+    shown
+}
+
 impl Error {
     /// An [`Error::Read`] of a file or folder.
     pub fn read(path: impl Into<PathBuf>, source: std::io::Error) -> Self {
@@ -147,7 +163,8 @@ impl Error {
         Error::Setting { name, found: found.to_string(), expected: expected.to_string() }
     }
 
-    /// An [`Error::Input`] about a whole file or variable.
+    /// An [`Error::Input`] about a whole file or variable. What comes from the file is made fit for a terminal: control
+    /// characters are escaped, and what is long is cut.
     pub fn input(
         path: &Path,
         field: impl Into<String>,
@@ -157,9 +174,9 @@ impl Error {
         Error::Input {
             path: path.to_owned(),
             frame: None,
-            field: field.into(),
-            found: found.to_string(),
-            expected: expected.to_string(),
+            field: printable(&field.into()),
+            found: printable(&found.to_string()),
+            expected: printable(&expected.to_string()),
         }
     }
 
