@@ -135,14 +135,14 @@ fn frame_prefix(frame: Option<usize>) -> String {
 fn printable(text: &str) -> String {
     const LONGEST: usize = 240;
     let mut shown = String::new();
-    for c in text.chars() {
+    for c in text.chars().take(LONGEST + 1) {
         match c {
             '\\' | '"' | '\'' => shown.push(c),
             _ => shown.extend(c.escape_debug()),
         }
-        if shown.len() > LONGEST {
-            return shown.chars().take(LONGEST - 4).chain("…".chars()).collect();
-        }
+    }
+    if shown.chars().count() > LONGEST {
+        shown = shown.chars().take(LONGEST - 1).chain(['…']).collect();
     }
     shown
 }
@@ -195,5 +195,24 @@ impl Error {
             Error::Surface { what, found, expected } => Error::input(path, what, found, expected),
             other => other,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_file_holds_is_shown_without_control_characters_and_cut() {
+        for (text, shown) in [
+            ("it's \"a\" \\ b, 2 mm² → °", "it's \"a\" \\ b, 2 mm² → °"),
+            ("\x1b[31m\r\n\u{feff}\u{202e}", "\\u{1b}[31m\\r\\n\\u{feff}\\u{202e}"),
+        ] {
+            assert_eq!(printable(text), shown);
+            assert_eq!(printable(shown), shown);
+        }
+        let cut = printable(&"é".repeat(1000));
+        assert_eq!((cut.chars().count(), cut.ends_with("é…")), (240, true));
+        assert_eq!(printable(&cut), cut);
     }
 }

@@ -73,9 +73,10 @@ fn delaunay(corners: &[DVec2]) -> Option<Vec<[usize; 3]>> {
     let (mut place_of, mut positions) = (Vec::new(), Vec::new());
     let mut vertex_at: HashMap<[u64; 2], usize> = HashMap::new();
     let mut vertex = |(place, corner): (usize, &DVec2)| {
+        let position = mitigate_underflow(Point2::new(corner.x, corner.y));
         // Adding zero makes -0 and 0 the same position.
-        *vertex_at.entry(corner.to_array().map(|x| (x + 0.0).to_bits())).or_insert_with(|| {
-            positions.push(mitigate_underflow(Point2::new(corner.x, corner.y)));
+        *vertex_at.entry([position.x, position.y].map(|x| (x + 0.0).to_bits())).or_insert_with(|| {
+            positions.push(position);
             place_of.push(place);
             positions.len() - 1
         })
@@ -125,6 +126,8 @@ fn delaunay(corners: &[DVec2]) -> Option<Vec<[usize; 3]>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
 
     #[test]
     fn a_rectangle_has_its_area_and_centroid_in_both_directions() {
@@ -188,6 +191,10 @@ mod tests {
         let square = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0], [0.0, 0.0]];
         let (corners, normal) = in_space(&square);
         assert!((filled(&corners, normal) - 4.0).abs() < 1e-9);
+        // Nearer to each other than the triangulation can tell.
+        let close = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0], [0.0, 1e-308]]
+            .map(|[x, y]| DVec3::new(x, y, 0.0));
+        assert_eq!(filled(&close, DVec3::Z), 4.0);
         // All corners on a line: triangles without area, which name every corner.
         let line: Vec<DVec3> = [0.0, 1.0, 3.0, 2.0].map(DVec3::splat).to_vec();
         assert_eq!(triangulate(&line), Some(vec![[0, 1, 2], [0, 2, 3]]));
@@ -220,6 +227,32 @@ mod tests {
         let twice =
             |&[a, b, c]: &[usize; 3]| (corners[b] - corners[a]).cross(corners[c] - corners[a]).length();
         assert!((triangles.iter().map(twice).sum::<f64>() / 2.0 - 12.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_polygon_is_filled_with_its_whole_area_or_refused() {
+        // Corners on a small grid: edges that cross, touch, overlap and run back are common.
+        let mut random = ChaCha8Rng::seed_from_u64(3);
+        let (mut filled, mut refused) = (0, 0);
+        for _ in 0..20_000 {
+            let count = random.random_range(4..12);
+            let corners: Vec<DVec2> = (0..count)
+                .map(|_| DVec2::new(random.random_range(0..5).into(), random.random_range(0..4).into()))
+                .collect();
+            let in_space: Vec<DVec3> = corners.iter().map(|c| c.extend(1.0)).collect();
+            let Some(triangles) = triangulate(&in_space) else {
+                refused += 1;
+                continue;
+            };
+            let (twice_area, _) = twice_area_and_moment(corners.iter().copied());
+            let twice = triangles
+                .iter()
+                .map(|&[a, b, c]| (corners[b] - corners[a]).perp_dot(corners[c] - corners[a]));
+            // The outline's own direction counts as forwards.
+            assert!((twice.sum::<f64>() - twice_area).abs() < 1e-9, "{corners:?}");
+            filled += 1;
+        }
+        assert!(filled > 1000 && refused > 1000, "{filled} filled, {refused} refused");
     }
 
     #[test]

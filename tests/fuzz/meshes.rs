@@ -132,8 +132,8 @@ fn stl() {
     read_all("stl", &seeds, &tokens(&own));
 }
 
-/// A triangle's positions, nodes and end in bytes, as each compressor stores them.
-const COMPRESSED: [[&str; 4]; 3] = [
+/// A triangle's positions, nodes and end in bytes, as each compressor stores them; LZMA with both of its check sums.
+const COMPRESSED: [[&str; 4]; 4] = [
     [
         "vtkLZ4DataCompressor",
         "AQAAAAkAAAAAAAAACgAAAA==kAAAAAEAAAABAA==",
@@ -145,6 +145,12 @@ const COMPRESSED: [[&str; 4]; 3] = [
         "AQAAAAkAAAAAAAAAQAAAAA==/Td6WFoAAAFpIt42AgAhAQwAAACPmEGcAQAIAAAAAQAAAAEAAAAAAEr2TjQAAR0Jk2E2ppBCmQ0BAAAAAAFZWg==",
         "AQAAAAMAAAAAAAAAOAAAAA==/Td6WFoAAAFpIt42AgAhAQwAAACPmEGcAQACAAECAAB/iVQIAAEXAwdgDLyQQpkNAQAAAAABWVo=",
         "AQAAAAEAAAAAAAAAOAAAAA==/Td6WFoAAAFpIt42AgAhAQwAAACPmEGcAQAAAwAAAAA3vgtLAAEVAaljNGCQQpkNAQAAAAABWVo=",
+    ],
+    [
+        "vtkLZMADataCompressor",
+        "AQAAAAkAAAAAAAAARAAAAA==/Td6WFoAAATm1rRGAgAhARYAAAB0L+WjAQAIAAAAAQAAAAEAAAAAALujoxOSG6yHAAEhCWwYxdUftvN9AQAAAAAEWVo=",
+        "AQAAAAMAAAAAAAAAPAAAAA==/Td6WFoAAATm1rRGAgAhARYAAAB0L+WjAQACAAECAAAQikmEAxCUSgABGwMLL7kQH7bzfQEAAAAABFla",
+        "AQAAAAEAAAAAAAAAPAAAAA==/Td6WFoAAATm1rRGAgAhARYAAAB0L+WjAQAAAwAAAABtwIDPmtsHWAABGQGlLIHMH7bzfQEAAAAABFla",
     ],
     [
         "vtkZLibDataCompressor",
@@ -191,7 +197,10 @@ fn vtp() {
             ),
         )
     };
-    let [lz4, lzma, zlib] = COMPRESSED.map(|[name, a, b, c]| compressed(name, a, b, c).into_bytes());
+    let [lz4, lzma, lzma64, zlib] = COMPRESSED.map(|[name, a, b, c]| compressed(name, a, b, c).into_bytes());
+    for bytes in [&lz4, &lzma, &lzma64, &zlib] {
+        assert_eq!(Surface::read(File::new("mesh.vtp").holding(bytes)).unwrap().area_mm2(), 0.5);
+    }
     let empty = "<Piece NumberOfPoints=\"0\" NumberOfPolys=\"0\"></Piece>\n";
     let seeds = [
         written("vtp"),
@@ -200,6 +209,7 @@ fn vtp() {
             .into_bytes(),
         lz4,
         lzma,
+        lzma64,
         zlib,
     ];
     let own: [&[u8]; 10] = [

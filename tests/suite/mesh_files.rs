@@ -395,7 +395,7 @@ fn vtp_refuses_what_it_would_lose_or_cannot_hold() {
     bomb.extend(header);
     bomb.extend([0; 16]);
     let text = error_of("vtp", &bomb);
-    let expected = "found arrays of 34359738368 bytes or more in memory, expected at most 67108864 (200 times the file's size)";
+    let expected = "found arrays of 34359738368 bytes or more in memory, expected at most 67108864: 200 times the file's size, or 64 MB";
     assert!(text.ends_with(expected), "{text}");
 }
 

@@ -414,7 +414,8 @@ impl<'a> Document<'a> {
         let taken = self.taken.get().saturating_add(bytes.saturating_mul(8 / number.size()));
         if taken > self.limit {
             let found = format!("arrays of {taken} bytes or more in memory");
-            let expected = format!("at most {} ({LARGEST_EXPANSION} times the file's size)", self.limit);
+            let expected =
+                format!("at most {}: {LARGEST_EXPANSION} times the file's size, or 64 MB", self.limit);
             return Err(Error::input(self.path, field(array), found, expected));
         }
         self.taken.set(taken);
