@@ -8,6 +8,9 @@ use std::collections::HashMap;
 /// A polygon whose area is below this share of its extent squared is a line: its plane would be rounding noise.
 const SMALLEST_AREA_RATIO: f64 = 1e-6;
 
+/// Four corners whose tetrahedron has less than this share of their extent cubed (times six) lie in a plane.
+const SMALLEST_VOLUME_RATIO: f64 = 1e-3;
+
 /// Convex polygons of up to so many corners become fans. In larger ones a fan's triangles are needles.
 const LARGEST_FAN: usize = 16;
 
@@ -34,7 +37,8 @@ pub(crate) fn twice_area_and_moment(points: impl Iterator<Item = DVec2> + Clone)
 /// does; `None` where its edges cross, seen along its normal.
 ///
 /// The plane's normal is that of Newell's method. Corners at one position are one: polygons with holes, whose outline runs
-/// to a hole and back along the same way, are filled right. A polygon that is but a line becomes a fan without area.
+/// to a hole and back along the same way, are filled right. A polygon that is no more than a line becomes a fan without
+/// area.
 pub(crate) fn triangulate(corners: &[DVec3]) -> Option<Vec<[usize; 3]>> {
     let fan = || (2..corners.len()).map(|k| [0, k - 1, k]).collect();
     let &first = corners.first()?;
@@ -56,7 +60,18 @@ pub(crate) fn triangulate(corners: &[DVec3]) -> Option<Vec<[usize; 3]>> {
         return Some(fan());
     }
     let rounded = || flat.iter().map(|p| (p / TOLERANCE).round() * TOLERANCE).collect::<Vec<_>>();
-    delaunay(&flat).or_else(|| delaunay(&rounded()))
+    delaunay(&flat).or_else(|| delaunay(&rounded())).or_else(|| skew_patch(&unit))
+}
+
+/// Four corners that do not lie in one plane have edges that do not meet, though they may cross as seen along the normal,
+/// as where a vessel's quads fold at a bend: two triangles about the shorter diagonal.
+fn skew_patch(corners: &[DVec3]) -> Option<Vec<[usize; 3]>> {
+    let &[a, b, c, d] = corners else { return None };
+    if (b - a).dot((c - a).cross(d - a)).abs() < SMALLEST_VOLUME_RATIO {
+        return None;
+    }
+    let is_first_shorter = a.distance_squared(c) <= b.distance_squared(d);
+    Some(if is_first_shorter { vec![[0, 1, 2], [0, 2, 3]] } else { vec![[1, 2, 3], [1, 3, 0]] })
 }
 
 /// Whether a fan about the first corner, whose angle is less than 180°, fills the polygon.
@@ -209,6 +224,9 @@ mod tests {
         for crossing in [&bow_tie[..], &uneven, &pentagram] {
             assert_eq!(triangulate(&in_space(crossing).0), None);
         }
+        // The same corners not in a plane: edges that do not meet.
+        let skew = [[0.0, 0.0, 0.0], [3.0, 3.0, 0.5], [3.0, 0.0, 0.0], [0.0, 2.0, 0.5]].map(DVec3::from);
+        assert_eq!(triangulate(&skew), Some(vec![[0, 1, 2], [0, 2, 3]]));
         // The way to a hole and the way back, apart by what single precision loses.
         let nearly = [
             [0.0, 0.0],

@@ -33,14 +33,15 @@ pub(super) struct Contents {
     pub arrays: Vec<NodeArray>,
     pub polygons: Cells,
     pub strips: Cells,
-    /// Cells of which a surface has none.
+    /// The numbers of cells that are no part of a surface.
     pub lines: usize,
     pub points: usize,
 }
 
 impl Contents {
-    /// The types of VTK's cells that make a surface or are no part of one:
-    /// <https://docs.vtk.org/en/latest/vtk_file_formats/vtk_legacy_file_format.html>
+    /// Adds a cell of one of VTK's types: part of a surface, a line or a point.
+    ///
+    /// Types: <https://docs.vtk.org/en/latest/vtk_file_formats/vtk_legacy_file_format.html>
     pub fn push_of_vtk_type(&mut self, path: &Path, cell: usize, kind: i64, corners: &[i64]) -> Result<()> {
         match (kind, corners) {
             (0, _) => {}

@@ -11,7 +11,7 @@ use crate::{Error, Result};
 use glam::DVec3;
 use std::path::Path;
 
-/// What follows the header, read word by word; binary blocks begin after the line of the words about them.
+/// What follows the header, read word by word. A binary block begins after the line of the words that describe it.
 struct Body<'a> {
     path: &'a Path,
     rest: &'a [u8],
@@ -130,7 +130,7 @@ impl<'a> Body<'a> {
         word.parse().map_err(|_| Error::input(self.path, field, word, "a count"))
     }
 
-    /// The type of numbers, as which no text, bits or variants count.
+    /// A type of numbers: not text, bits or variants.
     fn number(&mut self, field: &str) -> Result<Number> {
         let word = self.word(field, "a type")?;
         number_of_type(&word)
@@ -151,7 +151,7 @@ impl<'a> Body<'a> {
             .collect()
     }
 
-    /// A binary block; nothing of a text, which must be long enough all the same.
+    /// A binary block. Of a text it takes nothing, but checks that so many numbers fit into it.
     fn block(&mut self, field: &str, count: usize, size: usize) -> Result<&'a [u8]> {
         if !self.is_text {
             self.rest_of_line();
@@ -352,8 +352,8 @@ impl<'a> Body<'a> {
         self.skip(field, count, 1)
     }
 
-    /// Text has a line of its own for each; binary strings have their length before them, in big endian, in as many bytes
-    /// as its first two bits say.
+    /// A text has a line for each string. A binary string follows its length, whose first two bits tell how many bytes the
+    /// length takes.
     fn skip_strings(&mut self, field: &str, count: usize) -> Result<()> {
         self.rest_of_line();
         for _ in 0..count {
@@ -400,7 +400,7 @@ fn number_of_type(name: &str) -> Option<Number> {
     })
 }
 
-/// A name without its %-codes, as which VTK writes white space and whatever is not ASCII.
+/// A name without %-codes. VTK writes them for white space and for what is not ASCII.
 fn decoded(name: &str) -> String {
     let mut bytes = Vec::with_capacity(name.len());
     let mut rest = name.as_bytes();
