@@ -142,6 +142,22 @@ fn frame_prefix(frame: Option<usize>) -> String {
     frame.map(|k| format!("frame {k}: ")).unwrap_or_default()
 }
 
+/// A text without control characters and of bounded length; twice the same as once.
+fn printable(text: &str) -> String {
+    const LONGEST: usize = 240;
+    let mut shown = String::new();
+    for c in text.chars().take(LONGEST + 1) {
+        match c {
+            '\\' | '"' | '\'' => shown.push(c),
+            _ => shown.extend(c.escape_debug()),
+        }
+    }
+    if shown.chars().count() > LONGEST {
+        shown = shown.chars().take(LONGEST - 1).chain(['…']).collect();
+    }
+    shown
+}
+
 impl Error {
     /// An [`Error::Read`] of a file or folder.
     pub fn read(path: impl Into<PathBuf>, source: std::io::Error) -> Self {
@@ -158,7 +174,8 @@ impl Error {
         Error::Setting { name, found: found.to_string(), expected: expected.to_string() }
     }
 
-    /// An [`Error::Input`] about a whole file or variable.
+    /// An [`Error::Input`] about a whole file or variable. What comes from the file is made fit for a terminal: control
+    /// characters are escaped, and what is long is cut.
     pub fn input(
         path: &Path,
         field: impl Into<String>,
@@ -168,9 +185,9 @@ impl Error {
         Error::Input {
             path: path.to_owned(),
             frame: None,
-            field: field.into(),
-            found: found.to_string(),
-            expected: expected.to_string(),
+            field: printable(&field.into()),
+            found: printable(&found.to_string()),
+            expected: printable(&expected.to_string()),
         }
     }
 
@@ -190,5 +207,24 @@ impl Error {
             Error::Surface { what, found, expected } => Error::input(path, what, found, expected),
             other => other,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_file_holds_is_shown_without_control_characters_and_cut() {
+        for (text, shown) in [
+            ("it's \"a\" \\ b, 2 mm² → °", "it's \"a\" \\ b, 2 mm² → °"),
+            ("\x1b[31m\r\n\u{feff}\u{202e}", "\\u{1b}[31m\\r\\n\\u{feff}\\u{202e}"),
+        ] {
+            assert_eq!(printable(text), shown);
+            assert_eq!(printable(shown), shown);
+        }
+        let cut = printable(&"é".repeat(1000));
+        assert_eq!((cut.chars().count(), cut.ends_with("é…")), (240, true));
+        assert_eq!(printable(&cut), cut);
     }
 }

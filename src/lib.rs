@@ -37,7 +37,7 @@
 //! | [`geometry`] | poses, rotation-minimising frames, polylines |
 //! | [`gpu`] | adapters, devices, what the engines require of them |
 //! | [`recording`] | recordings, frames, cylinder models; `.mat` files, CSV folders, untracked pullbacks |
-//! | [`surface`] | triangle surfaces with arrays per node; VTP, PLY, STL, OBJ |
+//! | [`surface`] | triangle surfaces with arrays per node; VTP, PLY, STL, OBJ, legacy VTK |
 //! | [`settings`] | every setting, with its default, its limits and a TOML form |
 //! | [`engine`] | where work is computed, and why there |
 //! | [`cylinders`] | the published method: cylinders fitted to the wall points about a frame, then merged |

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, after_long_help = examples_and_definitions())]
 pub(super) struct Arguments {
-    /// The mesh to measure: .vtp, .ply, .stl or .obj
+    /// The mesh to measure: .vtp, .ply, .stl, .obj, .vtk or .vtu
     mesh: PathBuf,
     /// The surface to measure against; its normals point out of the lumen
     #[arg(long, value_name = "SURFACE")]

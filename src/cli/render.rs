@@ -11,7 +11,7 @@ use std::path::PathBuf;
   lumenmesh render error.vtp -o error.png --array error_mm --range 0,2 --view front
   lumenmesh render vessel.ply -o small.png --array residual_mm --size 800x600")]
 pub(super) struct Arguments {
-    /// Mesh: .vtp, .ply, .stl or .obj
+    /// Mesh: .vtp, .ply, .stl, .obj, .vtk or .vtu
     mesh: PathBuf,
     /// Picture to write: .png
     #[arg(short, long, value_name = "PNG")]

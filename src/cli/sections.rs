@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
   lumenmesh sections vessel.vtp pullback.mat --csv sections.csv
   lumenmesh sections vessel.vtp pullback.mat --against by_hand.csv --column lumen_area --numbers contours.csv")]
 pub(super) struct Arguments {
-    /// The mesh: .vtp, .ply, .stl or .obj
+    /// The mesh: .vtp, .ply, .stl, .obj, .vtk or .vtu
     mesh: PathBuf,
     /// The recording whose planes cut it: a .mat file or a folder of CSV files
     #[arg(value_name = "REC")]

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 pub(super) struct VesselArguments {
     /// A phantom (aorta, cylinder, frustum, arch, small_arch, stenosis, aneurysm, ellipse,
     /// bifurcation, side_branch) or a surface file in mm
-    /// (.vtp, .ply, .stl, .obj) [default: aorta]
+    /// (.vtp, .ply, .stl, .obj, .vtk, .vtu) [default: aorta]
     #[arg(long, value_name = "NAME|SURFACE")]
     vessel: Option<String>,
     /// Centrelines of a surface file: CSV with branch, x_mm, y_mm, z_mm, r_inscribed_mm

@@ -67,10 +67,13 @@ impl Locator {
                 expected: "at least one".into(),
             });
         }
+        // Of triangles in one place the first is the nearest: the others would be searched in vain.
+        let distinct = surface.distinct_triangles();
+        let leaves = distinct.iter().filter_map(|t| original.binary_search(t).ok());
         let nodes: Vec<[u32; 3]> = original.iter().map(|&t| surface.triangles[t as usize]).collect();
         let corners_mm: Vec<[DVec3; 3]> = original.iter().map(|&t| surface.corners_mm(t as usize)).collect();
         let mut locator = Self {
-            boxes: Boxes::about(&corners_mm),
+            boxes: Boxes::about(&corners_mm, leaves),
             corners_mm,
             face_normals: original.iter().map(|&t| normals[t as usize]).collect(),
             edge_normals: vec![[DVec3::ZERO; 3]; nodes.len()],
@@ -254,8 +257,8 @@ impl Boxes {
     /// Coordinates of queries are clamped to this, so that squares stay finite; that brings them nearer to every box.
     const FAR: Vec3A = Vec3A::splat(1e18);
 
-    /// At least one triangle, each with an area.
-    fn about(corners_mm: &[[DVec3; 3]]) -> Self {
+    /// Boxes about some of the triangles: at least one, each with an area.
+    fn about(corners_mm: &[[DVec3; 3]], triangles: impl Iterator<Item = usize>) -> Self {
         let low = corners_mm.iter().flatten().copied().fold(DVec3::INFINITY, DVec3::min);
         let high = corners_mm.iter().flatten().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
         let mut boxes =
@@ -266,8 +269,8 @@ impl Boxes {
             let high = a.max(b).max(c) + Self::SLACK;
             Aabb::new(low.as_vec3(), high.as_vec3())
         };
-        let leaves: Vec<Aabb> = corners_mm.iter().map(around).collect();
-        boxes.tree = Bvh::from_leaves(BvhBuildStrategy::Binned, &leaves);
+        let leaves: Vec<(usize, Aabb)> = triangles.map(|t| (t, around(&corners_mm[t]))).collect();
+        boxes.tree = Bvh::from_iter(BvhBuildStrategy::Binned, leaves);
         boxes
     }
 

@@ -8,14 +8,17 @@ pub use cut::{Cut, Cutter, SectionOutline};
 pub use topology::Topology;
 
 use crate::{Error, Result, output};
-use formats::{obj, ply, stl, vtp};
+use formats::{obj, ply, stl, vtk, vtp};
 use glam::DVec3;
 use std::path::Path;
 
-/// The endings that [`Surface::read`] and [`Surface::write`] know.
+/// The endings that [`Surface::write`] knows.
 pub const ENDINGS: &str = ".vtp, .ply, .stl, .obj";
 
-/// A value per node, as VTP and PLY carry them.
+/// The endings that [`Surface::read`] knows.
+pub const ENDINGS_READ: &str = ".vtp, .ply, .stl, .obj, .vtk, .vtu";
+
+/// A value per node, as VTP, PLY and VTK carry them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeArray {
     /// Its name, with the unit where it has one: `residual_mm`.
@@ -57,31 +60,32 @@ impl Surface {
         }
     }
 
-    /// Reads a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`. Numbers are taken as millimetres.
+    /// Reads a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`, `.vtk` (legacy), `.vtu`. Numbers are taken as
+    /// millimetres.
     ///
-    /// Polygons become fans of triangles. VTP and PLY bring their scalar node arrays; arrays of several values per node
-    /// and arrays over cells are left out. An STL's corners become one node where their positions are equal, and
-    /// triangles that this leaves with fewer than three different nodes are dropped.
+    /// Polygons become triangles that fill them, concave ones too; polygons and strips are both read where a file has
+    /// both. VTP, PLY and VTK bring their node arrays of one number per node: the first of each name; pieces that lack an
+    /// array have NaN there. All other arrays, lines and points are left out. An STL's corners become one node where their
+    /// positions are equal, and triangles that this leaves with fewer than three different nodes are dropped.
     ///
     /// # Errors
     /// Where the file cannot be read or holds no usable triangle surface: no triangles, an index out of range, a
-    /// position that is not finite, content cut short.
+    /// position that is not finite, a polygon whose edges cross, cells of volumes, content cut short; and where arrays
+    /// would take far more memory than the file does.
     pub fn read(path: &Path) -> Result<Self> {
         let parse = match output::ending(path).as_str() {
-            "vtp" => vtp::parse,
+            "vtp" | "vtu" => vtp::parse,
             "ply" => ply::parse,
             "stl" => stl::parse,
             "obj" => obj::parse,
-            ending => return Err(unknown_ending(path, ending)),
+            "vtk" => vtk::parse,
+            ending => return Err(unknown_ending(path, ending, ENDINGS_READ)),
         };
         let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.into(), source })?;
         if bytes.is_empty() {
             return Err(Error::input(path, "content", "an empty file", "a surface"));
         }
         let surface = parse(path, &bytes)?;
-        if surface.triangles.is_empty() {
-            return Err(Error::input(path, "triangles", "none", "at least one"));
-        }
         surface.check().map_err(|e| e.in_file(path))?;
         Ok(surface)
     }
@@ -90,17 +94,24 @@ impl Surface {
     /// STL (single precision, triangles only) keep positions to the last bit.
     ///
     /// # Errors
-    /// [`Error::UnknownEnding`]; [`Error::Surface`] where [`check`](Self::check) finds fault; [`Error::Write`], and no
-    /// partial file is left behind.
+    /// [`Error::UnknownEnding`]; [`Error::Surface`] where there are no triangles or [`check`](Self::check) finds fault;
+    /// [`Error::Write`], and no partial file is left behind.
     pub fn write(&self, path: &Path) -> Result<()> {
         let write = match output::ending(path).as_str() {
             "vtp" => vtp::write,
             "ply" => ply::write,
             "stl" => stl::write,
             "obj" => obj::write,
-            ending => return Err(unknown_ending(path, ending)),
+            ending => return Err(unknown_ending(path, ending, ENDINGS)),
         };
         self.check()?;
+        if self.triangles.is_empty() {
+            return Err(Error::Surface {
+                what: "triangles".into(),
+                found: "none".into(),
+                expected: "at least one".into(),
+            });
+        }
         output::write_atomically(path, |w| write(self, w))
     }
 
@@ -166,38 +177,10 @@ impl Surface {
 pub fn check_ending(path: &Path) -> Result<()> {
     match output::ending(path).as_str() {
         "vtp" | "ply" | "stl" | "obj" => Ok(()),
-        ending => Err(unknown_ending(path, ending)),
+        ending => Err(unknown_ending(path, ending, ENDINGS)),
     }
 }
 
-fn unknown_ending(path: &Path, ending: &str) -> Error {
-    Error::UnknownEnding { path: path.into(), ending: ending.into(), expected: ENDINGS }
-}
-
-/// Appends a polygon as a fan of triangles about its first corner.
-fn push_polygon(
-    path: &Path,
-    polygon: usize,
-    corners: &[i64],
-    nodes: usize,
-    triangles: &mut Vec<[u32; 3]>,
-) -> Result<()> {
-    let field = || format!("polygon {polygon}");
-    if corners.len() < 3 {
-        return Err(Error::input(path, field(), format!("{} corners", corners.len()), "3 or more"));
-    }
-    let node = |corner: i64| match u32::try_from(corner) {
-        Ok(index) if (index as usize) < nodes => Ok(index),
-        _ => Err(Error::input(
-            path,
-            field(),
-            format!("node {corner}"),
-            format!("a node from 0 to below {nodes}"),
-        )),
-    };
-    let first = node(corners[0])?;
-    for pair in corners[1..].windows(2) {
-        triangles.push([first, node(pair[0])?, node(pair[1])?]);
-    }
-    Ok(())
+fn unknown_ending(path: &Path, ending: &str, expected: &'static str) -> Error {
+    Error::UnknownEnding { path: path.into(), ending: ending.into(), expected }
 }

@@ -3,6 +3,7 @@
 use super::Surface;
 use glam::DVec3;
 use serde::Serialize;
+use std::collections::HashMap;
 
 /// A triangle whose area is below this share of its longest edge's square is degenerate: its normal would be rounding
 /// noise.
@@ -96,6 +97,26 @@ impl Surface {
         let edges = directed_edges(&whole);
         let groups = edges.chunk_by(|p, q| (p.0, p.1) == (q.0, q.1));
         groups.filter(|edge| edge.len() == 1).map(|edge| [edge[0].0, edge[0].1]).collect()
+    }
+
+    /// The triangles whose corners do not lie where those of an earlier one do, in whatever order; ascending.
+    pub(crate) fn distinct_triangles(&self) -> Vec<u32> {
+        let mut first_at = HashMap::new();
+        // Adding zero makes -0 and 0 the same place.
+        let place = |p: &DVec3| (*p + DVec3::ZERO).to_array().map(f64::to_bits);
+        let first: Vec<u32> =
+            (0..).zip(&self.nodes_mm).map(|(node, p)| *first_at.entry(place(p)).or_insert(node)).collect();
+        let key = |triangle: &[u32; 3]| {
+            let mut corners = triangle.map(|node| first[node as usize]);
+            corners.sort_unstable();
+            corners
+        };
+        let mut keyed: Vec<([u32; 3], u32)> = self.triangles.iter().map(key).zip(0..).collect();
+        keyed.sort_unstable();
+        keyed.dedup_by_key(|(corners, _)| *corners);
+        let mut distinct: Vec<u32> = keyed.into_iter().map(|(_, triangle)| triangle).collect();
+        distinct.sort_unstable();
+        distinct
     }
 
     /// The area of each triangle, mm².

@@ -7,5 +7,6 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on stops there")]
 
+mod meshes;
 mod mutate;
 mod settings;

@@ -16,6 +16,7 @@ mod experiments;
 mod golden;
 mod layers;
 mod live;
+mod mesh_files;
 mod method;
 #[cfg(all(feature = "cli", unix))]
 mod outputs;

@@ -14,7 +14,7 @@ use crate::setters::setters;
 use crate::surface::Surface;
 use crate::{Error, Result, output};
 use canvas::{Canvas, Colour, Sheet};
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, UVec2};
 pub(super) use scale::label;
 use scale::{round_down, ticks};
 use std::path::Path;
@@ -122,12 +122,17 @@ pub fn render(surface: &Surface, style: &Style) -> Result<Picture> {
     }
     surface.check()?;
     let values = Values::new(surface, style)?;
-    let mut canvas = Canvas::new(width as usize, height as usize);
-    let layout = Layout::new(surface, style, &canvas)?;
-    for panel in &layout.panels {
-        draw_mesh(&mut canvas, surface, values.as_ref(), panel, &layout);
-    }
-    let mut sheet = canvas.smoothed();
+    let layout = Layout::new(surface, style)?;
+    let normals = surface.node_normals();
+    // Of triangles in one place the first is seen: the others would be drawn in vain.
+    let triangles: Vec<[u32; 3]> =
+        surface.distinct_triangles().into_iter().map(|t| surface.triangles[t as usize]).collect();
+    let views: Vec<_> = layout.panels.iter().map(|panel| (panel, panel.place(surface, &layout))).collect();
+    let mut sheet = Sheet::new(width as usize, height as usize, |canvas| {
+        for (panel, seen) in &views {
+            draw_mesh(canvas, &triangles, seen, &normals, values.as_ref(), panel.eye);
+        }
+    });
     for panel in &layout.panels {
         sheet.text(panel.label_at, panel.eye.label, layout.text_px * 0.8, FAINT);
     }
@@ -164,6 +169,18 @@ struct Panel {
     label_at: DVec2,
 }
 
+impl Panel {
+    /// The surface's nodes as they are seen: x and y in pixels, z towards the eye.
+    fn place(&self, surface: &Surface, layout: &Layout) -> Vec<DVec3> {
+        let Eye { right, up, towards, .. } = self.eye;
+        let place = |p: &DVec3| {
+            let d = (*p - layout.middle_mm) * layout.pixels_per_mm;
+            DVec3::new(self.middle_px.x + d.dot(*right), self.middle_px.y - d.dot(*up), d.dot(*towards))
+        };
+        surface.nodes_mm.iter().map(place).collect()
+    }
+}
+
 struct Layout {
     panels: Vec<Panel>,
     pixels_per_mm: f64,
@@ -176,7 +193,7 @@ struct Layout {
 }
 
 impl Layout {
-    fn new(surface: &Surface, style: &Style, canvas: &Canvas) -> Result<Self> {
+    fn new(surface: &Surface, style: &Style) -> Result<Self> {
         let wrong = |found: &str, expected: &str| Error::Surface {
             what: "mesh to draw".into(),
             found: found.into(),
@@ -190,7 +207,7 @@ impl Layout {
         else {
             return Err(wrong("a position that is not finite", "finite coordinates in mm"));
         };
-        let size_px = canvas.size();
+        let size_px = UVec2::from(style.size).as_dvec2();
         let (extent, middle_mm) = ((high - low).max(DVec3::splat(1e-9)), (low + high) * 0.5);
         let text_px = (size_px.min_element() / 42.0).clamp(11.0, 40.0);
         let margin_px = text_px * 1.2;
@@ -370,24 +387,15 @@ fn viridis(t: f64) -> Colour {
 
 fn draw_mesh(
     canvas: &mut Canvas,
-    surface: &Surface,
+    triangles: &[[u32; 3]],
+    seen: &[DVec3],
+    normals: &[DVec3],
     values: Option<&Values>,
-    panel: &Panel,
-    layout: &Layout,
+    Eye { right, up, towards, .. }: &Eye,
 ) {
-    let Eye { right, up, towards, .. } = panel.eye;
-    let normals = surface.node_normals();
-    let seen: Vec<DVec3> = surface
-        .nodes_mm
-        .iter()
-        .map(|p| {
-            let d = (*p - layout.middle_mm) * layout.pixels_per_mm;
-            DVec3::new(panel.middle_px.x + d.dot(*right), panel.middle_px.y - d.dot(*up), d.dot(*towards))
-        })
-        .collect();
     // From the upper left, a little off the eye, so that shapes show and no side is black.
     let light = (*right * -0.35 + *up * 0.45 + *towards * 0.82).normalize();
-    for triangle in &surface.triangles {
+    for triangle in triangles {
         let corners = triangle.map(|n| seen[n as usize]);
         let [na, nb, nc] = triangle.map(|n| normals[n as usize]);
         // Rows count downwards, which turns the sense of the triangle round.

@@ -1,9 +1,13 @@
-//! File formats of surfaces, one module per format.
+//! File formats of surfaces, one module per format; what they share: numbers, text, and cells that become triangles.
 //!
-//! VTP uses `quick-xml`, `flate2` and `base64`. PLY, STL and OBJ are parsed here, which bounds the effects of bad input: no
-//! buffer is larger than the size of the file justifies.
+//! VTP uses `quick-xml`, `base64` and the crates of its compressors. The others are parsed here, which bounds the effects
+//! of bad input: no buffer is larger than the size of the file justifies.
 
+mod cells;
+mod number;
 pub(super) mod obj;
 pub(super) mod ply;
 pub(super) mod stl;
+mod text;
+pub(super) mod vtk;
 pub(super) mod vtp;

@@ -1,6 +1,9 @@
 //! PLY (Stanford): written as binary little endian, read in all three of its encodings.
 
-use crate::surface::{NodeArray, Surface, push_polygon};
+use super::cells::{Contents, require_triangles};
+use super::number::Number;
+use super::text::{self, HeaderLines};
+use crate::surface::{NodeArray, Surface};
 use crate::{Error, Result};
 use glam::DVec3;
 use std::io::Write;
@@ -13,41 +16,21 @@ enum Encoding {
     BigEndian,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Number {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Number {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
+/// The original names, those with sizes, and those of eight bytes that some programs add.
+fn number_of_name(name: &str) -> Option<Number> {
+    Some(match name {
+        "char" | "int8" => Number::I8,
+        "uchar" | "uint8" => Number::U8,
+        "short" | "int16" => Number::I16,
+        "ushort" | "uint16" => Number::U16,
+        "int" | "int32" => Number::I32,
+        "uint" | "uint32" => Number::U32,
+        "long" | "longlong" | "int64" => Number::I64,
+        "ulong" | "ulonglong" | "uint64" => Number::U64,
+        "float" | "float32" => Number::F32,
+        "double" | "float64" => Number::F64,
+        _ => return None,
+    })
 }
 
 struct Property {
@@ -82,39 +65,30 @@ struct Body<'a> {
     encoding: Encoding,
 }
 
-impl Body<'_> {
-    fn next(&mut self, number: Number, at: &dyn Fn() -> String) -> Result<f64> {
-        let ended =
-            || Error::input(self.path, at(), "the end of the file", format!("a number of type {number:?}"));
-        if self.encoding == Encoding::Text {
+impl<'a> Body<'a> {
+    /// The bytes of the next number, which are a word in a text.
+    fn next_bytes(&mut self, number: Number, at: &dyn Fn() -> String) -> Result<&'a [u8]> {
+        let split = if self.encoding == Encoding::Text {
             let rest = self.rest.trim_ascii_start();
-            let (word, rest) =
-                rest.split_at(rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len()));
-            if word.is_empty() {
-                return Err(ended());
-            }
-            self.rest = rest;
-            let word = String::from_utf8_lossy(word);
-            return word.parse().map_err(|_| Error::input(self.path, at(), word, "a number"));
-        }
-        let (word, rest) = self.rest.split_at_checked(number.size()).ok_or_else(ended)?;
+            let end = rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len());
+            rest.split_at_checked(end).filter(|(word, _)| !word.is_empty())
+        } else {
+            self.rest.split_at_checked(number.size())
+        };
+        let (bytes, rest) = split.ok_or_else(|| {
+            Error::input(self.path, at(), "the end of the file", format!("a number of type {number:?}"))
+        })?;
         self.rest = rest;
-        let mut b = [0; 8];
-        match self.encoding {
-            Encoding::BigEndian => word.iter().rev().zip(&mut b).for_each(|(from, to)| *to = *from),
-            _ => word.iter().zip(&mut b).for_each(|(from, to)| *to = *from),
+        Ok(bytes)
+    }
+
+    fn next(&mut self, number: Number, at: &dyn Fn() -> String) -> Result<f64> {
+        let bytes = self.next_bytes(number, at)?;
+        if self.encoding == Encoding::Text {
+            let word = String::from_utf8_lossy(bytes);
+            return text::number(&word).ok_or_else(|| Error::input(self.path, at(), word, "a number"));
         }
-        let [b0, b1, b2, b3, ..] = b;
-        Ok(match number {
-            Number::I8 => i8::from_le_bytes([b0]).into(),
-            Number::U8 => b0.into(),
-            Number::I16 => i16::from_le_bytes([b0, b1]).into(),
-            Number::U16 => u16::from_le_bytes([b0, b1]).into(),
-            Number::I32 => i32::from_le_bytes([b0, b1, b2, b3]).into(),
-            Number::U32 => u32::from_le_bytes([b0, b1, b2, b3]).into(),
-            Number::F32 => f32::from_le_bytes([b0, b1, b2, b3]).into(),
-            Number::F64 => f64::from_le_bytes(b),
-        })
+        Ok(number.read(bytes, self.encoding == Encoding::BigEndian))
     }
 
     fn next_integer(&mut self, number: Number, at: &dyn Fn() -> String) -> Result<i64> {
@@ -125,28 +99,36 @@ impl Body<'_> {
         Ok(value as i64)
     }
 
-    fn next_list(&mut self, count: Number, number: Number, at: &dyn Fn() -> String) -> Result<Vec<i64>> {
+    /// The length of a list, which the rest of the file can hold.
+    fn next_length(&mut self, count: Number, item: Number, at: &dyn Fn() -> String) -> Result<usize> {
         let length = self.next_integer(count, at)?;
-        let least = if self.encoding == Encoding::Text { 1 } else { number.size() };
-        match usize::try_from(length) {
-            Ok(n) if n.saturating_mul(least) <= self.rest.len() => {
-                (0..n).map(|_| self.next_integer(number, at)).collect()
-            }
-            _ => Err(Error::input(
-                self.path,
-                at(),
-                format!("a list of {length}"),
-                "a list that the file holds",
-            )),
+        let least = if self.encoding == Encoding::Text { 1 } else { item.size() };
+        usize::try_from(length).ok().filter(|n| n.saturating_mul(least) <= self.rest.len()).ok_or_else(|| {
+            Error::input(self.path, at(), format!("a list of {length}"), "a list that the file holds")
+        })
+    }
+
+    fn next_indices(&mut self, count: Number, item: Number, at: &dyn Fn() -> String) -> Result<Vec<i64>> {
+        let length = self.next_length(count, item, at)?;
+        (0..length).map(|_| self.next_integer(item, at)).collect()
+    }
+
+    fn skip(&mut self, property: &Property, at: &dyn Fn() -> String) -> Result<()> {
+        let length = match property.list {
+            Some(count) => self.next_length(count, property.number, at)?,
+            None => 1,
+        };
+        for _ in 0..length {
+            self.next_bytes(property.number, at)?;
         }
+        Ok(())
     }
 }
 
 pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
     let (encoding, elements, rest) = parse_header(path, bytes)?;
     let mut body = Body { path, rest, encoding };
-    let mut surface = Surface::default();
-    let mut polygons = Vec::new();
+    let mut contents = Contents::default();
     for element in &elements {
         if element.min_bytes(encoding) > body.rest.len() {
             return Err(Error::input(
@@ -157,28 +139,34 @@ pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
             ));
         }
         match element.name.as_str() {
-            "vertex" => read_vertices(&mut body, element, &mut surface)?,
-            _ => read_rows(&mut body, element, &mut polygons)?,
+            "vertex" => read_vertices(&mut body, element, &mut contents)?,
+            "face" | "tristrips" => read_cells(&mut body, element, &mut contents)?,
+            _ => skip_rows(&mut body, element)?,
         }
     }
-    for (k, corners) in polygons.iter().enumerate() {
-        push_polygon(path, k, corners, surface.nodes_mm.len(), &mut surface.triangles)?;
+    // Some programs end a file with a line break.
+    let left = body.rest.iter().filter(|b| !b.is_ascii_whitespace() && **b != 0).count();
+    if left > 0 {
+        let found = format!("{left} bytes after the rows that the header promises");
+        return Err(Error::input(path, "end", found, "the end of the file"));
     }
-    Ok(surface)
+    let edges = elements.iter().find(|e| e.name == "edge").map_or(0, |e| e.count);
+    require_triangles(contents.triangulate(path)?, path, &[("edges", edges)])
 }
 
 fn parse_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Encoding, Vec<Element>, &'a [u8])> {
-    let mut rest = bytes;
+    let mut lines = HeaderLines::new(bytes);
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
     for number in 1.. {
-        let Some(end) = rest.iter().position(|&b| b == b'\n') else {
-            return Err(Error::input(path, "header", "the end of the file", "end_header"));
+        let Some(line) = lines.next() else {
+            return Err(match number {
+                1 => Error::input(path, "header line 1", "no line of text", "ply"),
+                _ => Error::input(path, "header", "the end of the file", "end_header"),
+            });
         };
-        let line = String::from_utf8_lossy(&rest[..end]).into_owned();
-        rest = &rest[end + 1..];
         let wrong =
-            |expected: &str| Error::input(path, format!("header line {number}"), line.trim(), expected);
+            |expected: &str| Error::input(path, format!("header line {number}"), line.as_ref(), expected);
         let words: Vec<&str> = line.split_whitespace().collect();
         match (number, words.as_slice()) {
             (1, ["ply"]) => {}
@@ -196,7 +184,7 @@ fn parse_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Encoding, Vec<Eleme
                 elements.push(Element { name: (*name).into(), count, properties: Vec::new() });
             }
             (_, ["property", kind @ .., name]) => {
-                let number = |name: &&str| Number::parse(name).ok_or_else(|| wrong("a number type of PLY"));
+                let number = |name: &&str| number_of_name(name).ok_or_else(|| wrong("a number type of PLY"));
                 let (list, number) = match kind {
                     ["list", count, item] => (Some(number(count)?), number(item)?),
                     [item] => (None, number(item)?),
@@ -211,13 +199,17 @@ fn parse_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Encoding, Vec<Eleme
         }
     }
     let encoding = encoding.ok_or_else(|| Error::input(path, "header", "no format line", "format"))?;
-    Ok((encoding, elements, rest))
+    Ok((encoding, elements, lines.rest))
 }
 
-fn read_vertices(body: &mut Body, element: &Element, surface: &mut Surface) -> Result<()> {
+fn read_vertices(body: &mut Body, element: &Element, contents: &mut Contents) -> Result<()> {
+    let wrong = |found: String, expected: &str| Error::input(body.path, "element vertex", found, expected);
+    if !contents.nodes_mm.is_empty() {
+        return Err(wrong("a second one".into(), "one"));
+    }
     let column = |name| {
         let found = element.properties.iter().position(|p| p.name == name && p.list.is_none());
-        found.ok_or_else(|| Error::input(body.path, "element vertex", format!("no {name}"), "x, y and z"))
+        found.ok_or_else(|| wrong(format!("no {name}"), "x, y and z"))
     };
     let position = [column("x")?, column("y")?, column("z")?];
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); element.properties.len()];
@@ -225,38 +217,54 @@ fn read_vertices(body: &mut Body, element: &Element, surface: &mut Surface) -> R
         for (property, values) in element.properties.iter().zip(&mut columns) {
             let at = || format!("vertex {row}: {}", property.name);
             match property.list {
-                Some(count) => drop(body.next_list(count, property.number, &at)?),
+                Some(_) => body.skip(property, &at)?,
                 None => values.push(body.next(property.number, &at)?),
             }
         }
     }
     let [x, y, z] = position.map(|k| columns[k].as_slice());
-    surface.nodes_mm = x.iter().zip(y).zip(z).map(|((&x, &y), &z)| DVec3::new(x, y, z)).collect();
+    contents.nodes_mm = x.iter().zip(y).zip(z).map(|((&x, &y), &z)| DVec3::new(x, y, z)).collect();
     let scalars = element.properties.iter().zip(columns).enumerate();
     for (_, (property, values)) in scalars.filter(|(k, (p, _))| p.list.is_none() && !position.contains(k)) {
-        surface.arrays.push(NodeArray { name: property.name.clone(), values });
+        contents.arrays.push(NodeArray { name: property.name.clone(), values });
     }
     Ok(())
 }
 
-/// Reads the polygons of an element `face` and skips everything else.
-fn read_rows(body: &mut Body, element: &Element, polygons: &mut Vec<Vec<i64>>) -> Result<()> {
-    if element.properties.is_empty() {
-        return Ok(());
+/// Reads the nodes of polygons, or of strips, among which -1 begins another strip.
+fn read_cells(body: &mut Body, element: &Element, contents: &mut Contents) -> Result<()> {
+    let names = ["vertex_indices", "vertex_index"];
+    let is_nodes = |p: &Property| p.list.is_some() && names.contains(&p.name.as_str());
+    if element.count > 0 && !element.properties.iter().any(is_nodes) {
+        let expected = format!("a list {} or {}", names[0], names[1]);
+        return Err(Error::input(body.path, format!("element {}", element.name), "none", expected));
     }
     for row in 0..element.count {
         for property in &element.properties {
             let at = || format!("{} {row}: {}", element.name, property.name);
             match property.list {
-                Some(count) => {
-                    let corners = body.next_list(count, property.number, &at)?;
-                    let polygon = ["vertex_indices", "vertex_index"].contains(&property.name.as_str());
-                    if element.name == "face" && polygon {
-                        polygons.push(corners);
+                Some(count) if is_nodes(property) => {
+                    let nodes = body.next_indices(count, property.number, &at)?;
+                    match element.name.as_str() {
+                        "tristrips" => nodes.split(|&n| n == -1).for_each(|strip| {
+                            contents.strips.push(strip.iter().copied());
+                        }),
+                        _ => contents.polygons.push(nodes),
                     }
                 }
-                None => drop(body.next(property.number, &at)?),
+                _ => body.skip(property, &at)?,
             }
+        }
+    }
+    Ok(())
+}
+
+fn skip_rows(body: &mut Body, element: &Element) -> Result<()> {
+    // Rows without properties take no bytes, however many there are.
+    let rows = if element.properties.is_empty() { 0 } else { element.count };
+    for row in 0..rows {
+        for property in &element.properties {
+            body.skip(property, &|| format!("{} {row}: {}", element.name, property.name))?;
         }
     }
     Ok(())

@@ -1,5 +1,7 @@
 //! STL: triangles by their corners, in single precision; carries neither shared nodes nor arrays.
 
+use super::cells::require_triangles;
+use super::text;
 use crate::surface::Surface;
 use crate::{Error, Result};
 use glam::DVec3;
@@ -10,78 +12,92 @@ use std::path::Path;
 const HEADER: usize = 84;
 const RECORD: usize = 50;
 
+/// So many bytes tell a binary file from a text: they have the count of triangles, whose last byte is 0 in files of less
+/// than 800 MB, and the first of them.
+const LOOKED_AT: usize = 1024;
+
 pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
-    let corners = match binary_corners(bytes) {
-        Some(corners) => corners,
-        // Binary files may start with "solid" too, so their length decides first.
-        None if bytes.trim_ascii_start().starts_with(b"solid") => text_corners(path, bytes)?,
-        None => {
-            let count =
-                bytes.get(80..HEADER).map(|b| b.iter().rev().fold(0u64, |n, &b| n << 8 | u64::from(b)));
-            let expected = match count {
-                Some(n) => {
-                    format!("{} bytes for the {n} triangles of its header", HEADER as u64 + RECORD as u64 * n)
-                }
-                None => format!("text that starts with \"solid\" or a binary header of {HEADER} bytes"),
-            };
-            return Err(Error::input(path, "length", format!("{} bytes", bytes.len()), expected));
-        }
-    };
-    weld(path, &corners)
+    let corners = if is_text(bytes) { text_corners(path, bytes)? } else { binary_corners(path, bytes)? };
+    let count = corners.len() / 3;
+    require_triangles(weld(path, &corners)?, path, &[("triangles without three different corners", count)])
 }
 
-/// The corners of a binary file; `None` where its length does not agree with its header.
-fn binary_corners(bytes: &[u8]) -> Option<Vec<[f32; 3]>> {
-    let (head, records) = bytes.split_at_checked(HEADER)?;
-    let count = u32::from_le_bytes(head.get(80..)?.try_into().ok()?);
-    if records.len() as u64 != RECORD as u64 * u64::from(count) {
-        return None;
+/// By its bytes, not by its first word: binary files may begin with "solid" too.
+fn is_text(bytes: &[u8]) -> bool {
+    let is_wide = bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff");
+    let is_control = |b: &u8| b.is_ascii_control() && !b.is_ascii_whitespace();
+    is_wide || !bytes.iter().take(LOOKED_AT).any(is_control)
+}
+
+/// The corners of a binary file. Fewer bytes after them than a triangle takes, such as a line break, are no loss; more
+/// may be triangles that the count leaves out.
+fn binary_corners(path: &Path, bytes: &[u8]) -> Result<Vec<[f32; 3]>> {
+    let wrong = |expected: String| {
+        Error::input(path, "length of the binary file", format!("{} bytes", bytes.len()), expected)
+    };
+    let (count, records) = bytes
+        .split_at_checked(HEADER)
+        .and_then(|(head, records)| Some((u32::from_le_bytes(*head.last_chunk()?), records)))
+        .ok_or_else(|| wrong(format!("a header of {HEADER} bytes")))?;
+    let (triangles, _) = records.as_chunks::<RECORD>();
+    if triangles.len() as u64 != u64::from(count) {
+        let length = HEADER as u64 + RECORD as u64 * u64::from(count);
+        return Err(wrong(format!("{length} bytes for the {count} triangles of its header")));
     }
-    let (numbers, _) = records.as_chunks::<RECORD>();
-    let mut corners = Vec::with_capacity(3 * numbers.len());
-    for record in numbers {
+    let mut corners = Vec::with_capacity(3 * triangles.len());
+    for record in triangles {
         let (words, _) = record.as_chunks::<4>();
         // The first three words are the normal: it follows from the corners.
         let (points, _) = words[3..].as_chunks::<3>();
         corners.extend(points.iter().map(|p| p.map(f32::from_le_bytes)));
     }
-    Some(corners)
+    Ok(corners)
 }
 
+/// The corners of a text, in which each solid must have its end. Case does not count, nor whether `end` stands apart.
 fn text_corners(path: &Path, bytes: &[u8]) -> Result<Vec<[f32; 3]>> {
-    let text = String::from_utf8_lossy(bytes);
+    let text = text::decode(bytes);
     let mut corners = Vec::new();
     let mut loops = 0;
-    let mut ended = false;
-    for (number, line) in text.lines().enumerate() {
-        let field = || format!("line {}", number + 1);
+    let mut solids = 0;
+    let mut is_open = false;
+    for (number, line) in (1..).zip(text::lines(&text)) {
+        let wrong =
+            |found: &str, expected: &str| Error::input(path, format!("line {number}"), found, expected);
         let mut words = line.split_whitespace();
-        match words.next() {
-            Some("vertex") => {
+        let Some(word) = words.next() else { continue };
+        let mut keyword = word.to_ascii_lowercase();
+        if keyword == "end" {
+            keyword.extend(words.next().map(str::to_ascii_lowercase));
+        }
+        match keyword.as_str() {
+            "solid" if !is_open => {
+                solids += 1;
+                is_open = true;
+            }
+            "endsolid" if is_open => is_open = false,
+            "vertex" if is_open => {
                 let mut coordinate = || {
                     let word = words.next().unwrap_or("the end of the line");
-                    word.parse::<f32>().map_err(|_| Error::input(path, field(), word, "three coordinates"))
+                    text::number(word).map(|x| x as f32).ok_or_else(|| wrong(word, "three coordinates"))
                 };
                 corners.push([coordinate()?, coordinate()?, coordinate()?]);
             }
-            Some("endloop") => {
+            "endloop" if is_open => {
                 loops += 1;
                 if corners.len() != 3 * loops {
-                    return Err(Error::input(
-                        path,
-                        field(),
-                        "a loop of another length",
-                        "three vertex lines per loop",
-                    ));
+                    return Err(wrong("a loop of another length", "three vertex lines per loop"));
                 }
             }
-            Some("endsolid") => ended = true,
-            Some("solid" | "facet" | "outer" | "endfacet") | None => {}
-            Some(word) => return Err(Error::input(path, field(), word, "a keyword of STL")),
+            "facet" | "outer" | "endfacet" if is_open => {}
+            _ if solids == 0 => return Err(wrong(word, "solid, which begins a text")),
+            "solid" => return Err(wrong(word, "endsolid before the next solid")),
+            _ => return Err(wrong(word, if is_open { "a keyword of STL" } else { "solid" })),
         }
     }
-    if !ended || corners.len() != 3 * loops {
-        return Err(Error::input(path, "end", "a file cut short", "endsolid"));
+    if is_open || corners.len() != 3 * loops {
+        let found = format!("a text cut short in solid {solids}");
+        return Err(Error::input(path, "end", found, "endsolid"));
     }
     Ok(corners)
 }

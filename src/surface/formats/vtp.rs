@@ -1,20 +1,36 @@
 //! VTK XML PolyData, which ParaView and VMTK open: written as inline base64, read in all of VTK's own encodings (text,
-//! base64, appended base64 or raw; plain or zlib; 32- or 64-bit block headers; either byte order).
+//! base64, appended base64 or raw; plain or compressed with zlib, LZ4 or LZMA; 32- or 64-bit block headers; either byte
+//! order; one piece or several). UnstructuredGrid (.vtu) is read where its cells are those of a surface.
 //!
 //! Layout: <https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html>
 
-use crate::surface::{NodeArray, Surface, push_polygon};
+use super::cells::{Contents, require_triangles};
+use super::number::Number;
+use super::text;
+use crate::surface::{NodeArray, Surface};
 use crate::{Error, Result};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::DVec3;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
+use std::cell::Cell;
 use std::io::{Read as _, Write};
 use std::path::Path;
+use xz4rust::{XzDecoder, XzNextBlockResult};
 
-/// Deflate cannot expand by more than this: a block that claims more is wrong, and no block can demand much memory.
-const LARGEST_DEFLATE_RATIO: u64 = 1032;
+/// All numbers of a file may take so many times its size in memory: a compressor can make much of little, but a mesh has
+/// positions, which hardly shrink, beside arrays that may be one number throughout.
+const LARGEST_EXPANSION: usize = 200;
+/// So many bytes may be taken even by the smallest file.
+const SMALLEST_LIMIT: usize = 64 << 20;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Compressor {
+    Zlib,
+    Lz4,
+    Lzma,
+}
 
 /// A `DataArray` as the file holds it.
 struct DataArray {
@@ -28,60 +44,64 @@ struct DataArray {
     text: String,
 }
 
+/// A `Piece`: a part of the surface with nodes of its own.
+struct Piece {
+    nodes: usize,
+    /// Its number of cells by their element: `Polys`, `Strips`, `Lines`, `Verts`, `Cells`; none where it says none.
+    cells: Vec<(&'static str, usize)>,
+    arrays: Vec<DataArray>,
+}
+
 struct Document<'a> {
     path: &'a Path,
     big_endian: bool,
     /// Bytes of one number in the headers of binary blocks: 4 or 8.
     header_width: usize,
-    compressed: bool,
-    nodes: usize,
-    arrays: Vec<DataArray>,
+    compressor: Option<Compressor>,
+    pieces: Vec<Piece>,
     appended_raw: bool,
     /// What follows the `_` of `AppendedData`.
     appended: &'a [u8],
+    /// The most that its numbers may take in memory, in bytes, and what they have taken so far.
+    limit: usize,
+    taken: Cell<usize>,
 }
 
 pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
     let document = Document::parse(path, bytes)?;
     let mut surface = Surface::default();
-    let points = document.array("Points", None)?;
-    if points.components != 3 {
-        return Err(Error::input(path, "Points", format!("{} components", points.components), "3"));
+    let (mut lines, mut points) = (0, 0);
+    for piece in &document.pieces {
+        let contents = document.contents(piece)?;
+        lines += contents.lines;
+        points += contents.points;
+        append(&mut surface, contents.triangulate(path)?, path)?;
     }
-    let coordinates = document.numbers(points)?;
-    if coordinates.len() != document.nodes.saturating_mul(3) {
-        return Err(Error::input(
-            path,
-            "Points",
-            format!("{} coordinates", coordinates.len()),
-            format!("3 for each of {} points", document.nodes),
-        ));
-    }
-    surface.nodes_mm = coordinates.as_chunks::<3>().0.iter().copied().map(DVec3::from_array).collect();
-    for array in document.arrays.iter().filter(|a| a.parent == "PointData" && a.components == 1) {
-        let values = document.numbers(array)?;
-        if values.len() != document.nodes {
-            return Err(Error::input(
-                path,
-                format!("node array {:?}", array.name),
-                format!("{} values", values.len()),
-                document.nodes,
-            ));
-        }
-        surface.arrays.push(NodeArray { name: array.name.clone(), values });
-    }
-    for (k, corners) in document.cells("Polys")?.iter().enumerate() {
-        push_polygon(path, k, corners, surface.nodes_mm.len(), &mut surface.triangles)?;
-    }
-    for (k, strip) in document.cells("Strips")?.iter().enumerate() {
-        for (i, corners) in strip.windows(3).enumerate() {
-            // Every second triangle of a strip runs the other way round.
-            let (b, c) = if i % 2 == 0 { (1, 2) } else { (2, 1) };
-            let corners = [corners[0], corners[b], corners[c]];
-            push_polygon(path, k, &corners, surface.nodes_mm.len(), &mut surface.triangles)?;
+    let instead = [("lines", lines), ("points", points), ("pieces", document.pieces.len())];
+    require_triangles(surface, path, &instead)
+}
+
+/// Appends a piece. An array that some pieces lack has no value, NaN, at their nodes.
+fn append(surface: &mut Surface, piece: Surface, path: &Path) -> Result<()> {
+    let before = surface.nodes_mm.len();
+    surface.nodes_mm.extend(piece.nodes_mm);
+    let offset = u32::try_from(before)
+        .ok()
+        .filter(|_| u32::try_from(surface.nodes_mm.len()).is_ok())
+        .ok_or_else(|| Error::input(path, "nodes", "more than 2^32", "fewer than 2^32"))?;
+    surface.triangles.extend(piece.triangles.into_iter().map(|t| t.map(|node| node + offset)));
+    for array in piece.arrays {
+        match surface.arrays.iter_mut().find(|a| a.name == array.name) {
+            Some(whole) => whole.values.extend(array.values),
+            None => {
+                let mut values = vec![f64::NAN; before];
+                values.extend(array.values);
+                surface.arrays.push(NodeArray { name: array.name, values });
+            }
         }
     }
-    Ok(surface)
+    surface.arrays.iter_mut().for_each(|a| a.values.resize(surface.nodes_mm.len(), f64::NAN));
+    Ok(())
 }
 
 impl<'a> Document<'a> {
@@ -90,21 +110,19 @@ impl<'a> Document<'a> {
         let mark = b"<AppendedData";
         let end = bytes.windows(mark.len()).position(|w| w == mark).unwrap_or(bytes.len());
         let (text, tail) = bytes.split_at(end);
-        let text = std::str::from_utf8(text).map_err(|e| {
-            Error::input(path, "XML", format!("bytes that are not UTF-8 at {}", e.valid_up_to()), "XML")
-        })?;
         let mut document = Self {
             path,
             big_endian: false,
             header_width: 4,
-            compressed: false,
-            nodes: 0,
-            arrays: Vec::new(),
+            compressor: None,
+            pieces: Vec::new(),
             appended_raw: false,
             appended: &[],
+            limit: bytes.len().saturating_mul(LARGEST_EXPANSION).max(SMALLEST_LIMIT),
+            taken: Cell::new(0),
         };
         document.read_appended(tail)?;
-        document.read_elements(text)?;
+        document.read_elements(&text::decode(text))?;
         Ok(document)
     }
 
@@ -131,7 +149,6 @@ impl<'a> Document<'a> {
         let xml = |error: quick_xml::Error| Error::input(path, "XML", error, "well-formed XML");
         let mut reader = quick_xml::Reader::from_str(text);
         let mut open: Vec<String> = Vec::new();
-        let mut pieces = 0;
         loop {
             let event = reader.read_event().map_err(xml)?;
             match &event {
@@ -140,13 +157,16 @@ impl<'a> Document<'a> {
                     match name.as_str() {
                         "VTKFile" => self.read_file_tag(tag)?,
                         "Piece" => {
-                            pieces += 1;
-                            self.nodes = self.count(tag, "NumberOfPoints", 0)?;
+                            let piece = self.piece(tag)?;
+                            self.pieces.push(piece);
                         }
                         "DataArray" => {
                             let parent = open.last().cloned().unwrap_or_default();
                             let array = self.data_array(tag, parent)?;
-                            self.arrays.push(array);
+                            // Before the first piece are those of the whole file, such as its time.
+                            if let Some(piece) = self.pieces.last_mut() {
+                                piece.arrays.push(array);
+                            }
                         }
                         _ => {}
                     }
@@ -156,7 +176,7 @@ impl<'a> Document<'a> {
                 }
                 // VTK nests information keys in an array: only text right below the array is data.
                 Event::Text(content) if open.last().is_some_and(|name| name == "DataArray") => {
-                    if let Some(array) = self.arrays.last_mut() {
+                    if let Some(array) = self.pieces.last_mut().and_then(|p| p.arrays.last_mut()) {
                         array.text.push_str(&content.xml_content(XmlVersion::Explicit1_0));
                     }
                 }
@@ -174,10 +194,10 @@ impl<'a> Document<'a> {
                 format!("</{}>", open[open.len() - 1]),
             ));
         }
-        match pieces {
-            1 => Ok(()),
-            _ => Err(Error::input(path, "Piece", format!("{pieces} pieces"), "one piece of PolyData")),
+        if self.pieces.is_empty() {
+            return Err(Error::input(path, "Piece", "none", "at least one"));
         }
+        Ok(())
     }
 
     fn attribute(&self, tag: &BytesStart, name: &str) -> Result<Option<String>> {
@@ -191,21 +211,21 @@ impl<'a> Document<'a> {
         }
     }
 
-    fn count(&self, tag: &BytesStart, name: &str, default: usize) -> Result<usize> {
-        match self.attribute(tag, name)? {
-            Some(text) => {
-                text.trim().parse().map_err(|_| Error::input(self.path, name, text, "a whole number"))
-            }
-            None => Ok(default),
-        }
+    fn count(&self, tag: &BytesStart, name: &str) -> Result<Option<usize>> {
+        let number = |text: String| {
+            text.trim().parse().map_err(|_| Error::input(self.path, name, text, "a whole number"))
+        };
+        self.attribute(tag, name)?.map(number).transpose()
     }
 
     fn read_file_tag(&mut self, tag: &BytesStart) -> Result<()> {
         let wrong =
             |name: &str, found: String, expected: &str| Err(Error::input(self.path, name, found, expected));
         match self.attribute(tag, "type")? {
-            Some(kind) if kind == "PolyData" => {}
-            kind => return wrong("VTKFile type", kind.unwrap_or_default(), "PolyData"),
+            Some(kind) if kind == "PolyData" || kind == "UnstructuredGrid" => {}
+            kind => {
+                return wrong("VTKFile type", kind.unwrap_or_default(), "PolyData or UnstructuredGrid");
+            }
         }
         let big_endian = match self.attribute(tag, "byte_order")?.as_deref() {
             Some("LittleEndian") | None => false,
@@ -217,13 +237,33 @@ impl<'a> Document<'a> {
             Some("UInt64") => 8,
             Some(other) => return wrong("header_type", other.into(), "UInt32 or UInt64"),
         };
-        let compressed = match self.attribute(tag, "compressor")?.as_deref() {
-            Some("") | None => false,
-            Some("vtkZLibDataCompressor") => true,
-            Some(other) => return wrong("compressor", other.into(), "none or vtkZLibDataCompressor"),
+        let compressor = match self.attribute(tag, "compressor")?.as_deref() {
+            Some("") | None => None,
+            Some("vtkZLibDataCompressor") => Some(Compressor::Zlib),
+            Some("vtkLZ4DataCompressor") => Some(Compressor::Lz4),
+            Some("vtkLZMADataCompressor") => Some(Compressor::Lzma),
+            Some(other) => {
+                let expected = "none, vtkZLibDataCompressor, vtkLZ4DataCompressor or vtkLZMADataCompressor";
+                return wrong("compressor", other.into(), expected);
+            }
         };
-        (self.big_endian, self.header_width, self.compressed) = (big_endian, header_width, compressed);
+        (self.big_endian, self.header_width, self.compressor) = (big_endian, header_width, compressor);
         Ok(())
+    }
+
+    fn piece(&self, tag: &BytesStart) -> Result<Piece> {
+        let mut cells = Vec::new();
+        for (parent, name) in [
+            ("Polys", "NumberOfPolys"),
+            ("Strips", "NumberOfStrips"),
+            ("Lines", "NumberOfLines"),
+            ("Verts", "NumberOfVerts"),
+            ("Cells", "NumberOfCells"),
+        ] {
+            cells.extend(self.count(tag, name)?.map(|count| (parent, count)));
+        }
+        let nodes = self.count(tag, "NumberOfPoints")?.unwrap_or(0);
+        Ok(Piece { nodes, cells, arrays: Vec::new() })
     }
 
     fn data_array(&self, tag: &BytesStart, parent: String) -> Result<DataArray> {
@@ -231,48 +271,104 @@ impl<'a> Document<'a> {
             parent,
             name: self.attribute(tag, "Name")?.unwrap_or_default(),
             number: self.attribute(tag, "type")?.unwrap_or_default(),
-            components: self.count(tag, "NumberOfComponents", 1)?,
+            components: self.count(tag, "NumberOfComponents")?.unwrap_or(1),
             format: self.attribute(tag, "format")?.unwrap_or_else(|| "ascii".into()),
-            offset: self.count(tag, "offset", 0)?,
+            offset: self.count(tag, "offset")?.unwrap_or(0),
             text: String::new(),
         })
     }
 
-    fn array(&self, parent: &str, name: Option<&str>) -> Result<&DataArray> {
-        let wanted = |a: &&DataArray| a.parent == parent && name.is_none_or(|name| a.name == name);
-        self.arrays.iter().find(wanted).ok_or_else(|| {
-            Error::input(
-                self.path,
-                parent,
-                "no such array",
-                format!("a DataArray {}", name.unwrap_or_default()),
-            )
-        })
+    fn contents(&self, piece: &Piece) -> Result<Contents> {
+        let mut contents = Contents { nodes_mm: self.nodes(piece)?, ..Contents::default() };
+        for array in piece.arrays.iter().filter(|a| a.parent == "PointData" && a.components == 1) {
+            let is_new = contents.arrays.iter().all(|a| a.name != array.name);
+            // What cannot be an array here, such as text or bits, is nobody's loss.
+            if number_of_type(&array.number).is_none() || array.name.trim().is_empty() || !is_new {
+                continue;
+            }
+            let values = self.numbers(array)?;
+            if values.len() != piece.nodes {
+                let found = format!("{} values", values.len());
+                return Err(Error::input(
+                    self.path,
+                    format!("node array {:?}", array.name),
+                    found,
+                    piece.nodes,
+                ));
+            }
+            contents.arrays.push(NodeArray { name: array.name.clone(), values });
+        }
+        self.cells(piece, "Polys", |_, cell| {
+            contents.polygons.push(cell.iter().copied());
+            Ok(())
+        })?;
+        self.cells(piece, "Strips", |_, cell| {
+            contents.strips.push(cell.iter().copied());
+            Ok(())
+        })?;
+        let named = |parent| piece.cells.iter().find(|c| c.0 == parent).map_or(0, |c| c.1);
+        (contents.lines, contents.points) = (named("Lines"), named("Verts"));
+        if piece.arrays.iter().any(|a| a.parent == "Cells" && a.name == "types") {
+            let types = self.integers(piece.array(self.path, "Cells", Some("types"))?)?;
+            self.cells(piece, "Cells", |k, cell| {
+                let kind = types.get(k).copied().unwrap_or(-1);
+                contents.push_of_vtk_type(self.path, k, kind, cell)
+            })?;
+        }
+        Ok(contents)
     }
 
-    /// The node indices of each cell of `Polys` or `Strips`.
-    fn cells(&self, parent: &str) -> Result<Vec<Vec<i64>>> {
-        if !self.arrays.iter().any(|a| a.parent == parent) {
+    fn nodes(&self, piece: &Piece) -> Result<Vec<DVec3>> {
+        if piece.nodes == 0 {
             return Ok(Vec::new());
         }
-        let connectivity = self.integers(self.array(parent, Some("connectivity"))?)?;
-        let offsets = self.integers(self.array(parent, Some("offsets"))?)?;
-        let mut start = 0;
-        let mut cells = Vec::with_capacity(offsets.len());
-        for (k, &end) in offsets.iter().enumerate() {
-            let cell =
-                usize::try_from(end).ok().and_then(|end| connectivity.get(start..end)).ok_or_else(|| {
-                    Error::input(
-                        self.path,
-                        format!("{parent} offset {k}"),
-                        end,
-                        format!("{start} to {}", connectivity.len()),
-                    )
-                })?;
-            start += cell.len();
-            cells.push(cell.to_vec());
+        let points = piece.array(self.path, "Points", None)?;
+        if points.components != 3 {
+            return Err(Error::input(self.path, "Points", format!("{} components", points.components), "3"));
         }
-        Ok(cells)
+        let coordinates = self.numbers(points)?;
+        if coordinates.len() != piece.nodes.saturating_mul(3) {
+            let found = format!("{} coordinates", coordinates.len());
+            let expected = format!("3 for each of {} points", piece.nodes);
+            return Err(Error::input(self.path, "Points", found, expected));
+        }
+        Ok(coordinates.as_chunks::<3>().0.iter().copied().map(DVec3::from_array).collect())
+    }
+
+    /// Hands over each cell of `Polys`, `Strips` or `Cells` by its number and its nodes.
+    fn cells(
+        &self,
+        piece: &Piece,
+        parent: &str,
+        mut push: impl FnMut(usize, &[i64]) -> Result<()>,
+    ) -> Result<()> {
+        let promised = piece.cells.iter().find(|c| c.0 == parent).map(|c| c.1);
+        if promised.unwrap_or(0) == 0 && !piece.arrays.iter().any(|a| a.parent == parent) {
+            return Ok(());
+        }
+        let connectivity = self.integers(piece.array(self.path, parent, Some("connectivity"))?)?;
+        let offsets = self.integers(piece.array(self.path, parent, Some("offsets"))?)?;
+        let wrong = |what: String, found: String, expected: String| {
+            Err(Error::input(self.path, format!("{parent} {what}"), found, expected))
+        };
+        if promised.is_some_and(|count| count != offsets.len()) {
+            let expected = promised.unwrap_or(0).to_string();
+            return wrong("offsets".into(), offsets.len().to_string(), expected);
+        }
+        let mut start = 0;
+        for (k, &end) in offsets.iter().enumerate() {
+            let Some(cell) = usize::try_from(end).ok().and_then(|end| connectivity.get(start..end)) else {
+                let expected = format!("{start} to {}", connectivity.len());
+                return wrong(format!("offset {k}"), end.to_string(), expected);
+            };
+            start += cell.len();
+            push(k, cell)?;
+        }
+        if start != connectivity.len() {
+            let expected = format!("{start}, where the last cell ends");
+            return wrong("connectivity".into(), connectivity.len().to_string(), expected);
+        }
+        Ok(())
     }
 
     fn integers(&self, array: &DataArray) -> Result<Vec<i64>> {
@@ -285,44 +381,52 @@ impl<'a> Document<'a> {
     }
 
     fn numbers(&self, array: &DataArray) -> Result<Vec<f64>> {
-        let text =
-            |word: &str| word.parse().map_err(|_| Error::input(self.path, field(array), word, "a number"));
+        let number = number_of_type(&array.number).ok_or_else(|| {
+            Error::input(self.path, field(array), format!("type {:?}", array.number), "Int8 to Float64")
+        })?;
         let bytes = match array.format.as_str() {
-            "ascii" => return array.text.split_ascii_whitespace().map(text).collect(),
+            "ascii" => return self.numbers_of_text(array),
             "binary" => {
                 let inline: Vec<u8> = array.text.bytes().filter(|b| !b.is_ascii_whitespace()).collect();
-                self.block(array, &inline, false)?
+                self.block(array, number, &inline, false)?
             }
             "appended" => {
                 let data = self.appended.get(array.offset..).ok_or_else(|| {
                     let expected = format!("an offset up to {}", self.appended.len());
                     Error::input(self.path, field(array), format!("offset {}", array.offset), expected)
                 })?;
-                self.block(array, data, self.appended_raw)?
+                self.block(array, number, data, self.appended_raw)?
             }
             other => return Err(Error::input(self.path, field(array), other, "ascii, binary or appended")),
         };
-        let big = self.big_endian;
-        match array.number.as_str() {
-            "Int8" => Ok(convert(&bytes, big, |b| i8::from_le_bytes(b).into())),
-            "UInt8" => Ok(convert(&bytes, big, |b| u8::from_le_bytes(b).into())),
-            "Int16" => Ok(convert(&bytes, big, |b| i16::from_le_bytes(b).into())),
-            "UInt16" => Ok(convert(&bytes, big, |b| u16::from_le_bytes(b).into())),
-            "Int32" => Ok(convert(&bytes, big, |b| i32::from_le_bytes(b).into())),
-            "UInt32" => Ok(convert(&bytes, big, |b| u32::from_le_bytes(b).into())),
-            "Int64" => Ok(convert(&bytes, big, |b| i64::from_le_bytes(b) as f64)),
-            "UInt64" => Ok(convert(&bytes, big, |b| u64::from_le_bytes(b) as f64)),
-            "Float32" => Ok(convert(&bytes, big, |b| f32::from_le_bytes(b).into())),
-            "Float64" => Ok(convert(&bytes, big, f64::from_le_bytes)),
-            other => Err(Error::input(self.path, field(array), format!("type {other:?}"), "Int8 to Float64")),
+        Ok(number.read_all(&bytes, self.big_endian))
+    }
+
+    fn numbers_of_text(&self, array: &DataArray) -> Result<Vec<f64>> {
+        let number = |word: &str| {
+            text::number(word).ok_or_else(|| Error::input(self.path, field(array), word, "a number"))
+        };
+        array.text.split_ascii_whitespace().map(number).collect()
+    }
+
+    /// Counts the bytes of a block before they are taken, as the numbers of eight bytes that they become.
+    fn take(&self, array: &DataArray, number: Number, bytes: usize) -> Result<()> {
+        let taken = self.taken.get().saturating_add(bytes.saturating_mul(8 / number.size()));
+        if taken > self.limit {
+            let found = format!("arrays of {taken} bytes or more in memory");
+            let expected =
+                format!("at most {}: {LARGEST_EXPANSION} times the file's size, or 64 MB", self.limit);
+            return Err(Error::input(self.path, field(array), found, expected));
         }
+        self.taken.set(taken);
+        Ok(())
     }
 
     /// The content of the block that starts `data`.
     ///
     /// Plain: one number, the bytes to follow. Compressed: number of blocks, size of a block, size of the last one
     /// where it is smaller, and each block's compressed size; then the blocks.
-    fn block(&self, array: &DataArray, data: &[u8], raw: bool) -> Result<Vec<u8>> {
+    fn block(&self, array: &DataArray, number: Number, data: &[u8], raw: bool) -> Result<Vec<u8>> {
         let short =
             || Error::input(self.path, field(array), "a block cut short or malformed", "a whole block");
         let width = self.header_width;
@@ -345,8 +449,12 @@ impl<'a> Document<'a> {
                 if self.big_endian { word.iter().fold(0, fold) } else { word.iter().rev().fold(0, fold) };
             usize::try_from(number).map_err(|_| short())
         };
-        if !self.compressed {
+        let Some(compressor) = self.compressor else {
             let bytes = header_number(&head(width)?, 0)?;
+            if bytes > data.len() {
+                return Err(short());
+            }
+            self.take(array, number, bytes)?;
             if raw {
                 return plain(width, bytes);
             }
@@ -356,7 +464,7 @@ impl<'a> Document<'a> {
                 return decoded(apart, bytes);
             }
             return Ok(decoded(0, width.checked_add(bytes).ok_or_else(short)?)?.split_off(width));
-        }
+        };
         let blocks = header_number(&head(width)?, 0)?;
         if blocks == 0 {
             return Ok(Vec::new());
@@ -364,6 +472,8 @@ impl<'a> Document<'a> {
         let header_bytes = blocks.checked_add(3).and_then(|n| n.checked_mul(width)).ok_or_else(short)?;
         let header = head(header_bytes)?;
         let [full, last] = [header_number(&header, 1)?, header_number(&header, 2)?];
+        let last = if last > 0 { last } else { full };
+        self.take(array, number, full.saturating_mul(blocks - 1).saturating_add(last))?;
         let sizes: Vec<usize> = (0..blocks).map(|k| header_number(&header, 3 + k)).collect::<Result<_>>()?;
         let total = sizes.iter().try_fold(0usize, |sum, &n| sum.checked_add(n)).ok_or_else(short)?;
         let packed = if raw {
@@ -373,22 +483,81 @@ impl<'a> Document<'a> {
         };
         let mut rest = packed.as_slice();
         let mut content = Vec::new();
+        let mut xz = XzDecoder::default();
         for (k, &size) in sizes.iter().enumerate() {
             let (block, after) = rest.split_at_checked(size).ok_or_else(short)?;
             rest = after;
-            let expected = if k + 1 == blocks && last > 0 { last } else { full };
-            if expected as u64 > LARGEST_DEFLATE_RATIO * (size as u64 + 1) {
-                return Err(short());
-            }
-            let before = content.len();
-            let mut inflated = flate2::read::ZlibDecoder::new(block).take(expected as u64);
-            inflated.read_to_end(&mut content).map_err(|_| short())?;
-            if content.len() - before != expected {
-                return Err(short());
-            }
+            let length = if k + 1 == blocks { last } else { full };
+            compressor.expand(block, length, &mut content, &mut xz).ok_or_else(short)?;
         }
         Ok(content)
     }
+}
+
+impl Piece {
+    fn array(&self, path: &Path, parent: &str, name: Option<&str>) -> Result<&DataArray> {
+        let wanted = |a: &&DataArray| a.parent == parent && name.is_none_or(|name| a.name == name);
+        self.arrays.iter().find(wanted).ok_or_else(|| {
+            Error::input(path, parent, "no such array", format!("a DataArray {}", name.unwrap_or_default()))
+        })
+    }
+}
+
+impl Compressor {
+    /// Appends a block's content, which must be that long.
+    fn expand(self, block: &[u8], length: usize, content: &mut Vec<u8>, xz: &mut XzDecoder) -> Option<()> {
+        let before = content.len();
+        match self {
+            Self::Zlib => {
+                let mut inflated = flate2::read::ZlibDecoder::new(block).take(length as u64);
+                inflated.read_to_end(content).ok()?;
+            }
+            Self::Lz4 => {
+                content.resize(before + length, 0);
+                let written = lz4_flex::block::decompress_into(block, &mut content[before..]).ok()?;
+                content.truncate(before + written);
+            }
+            Self::Lzma => {
+                content.resize(before + length, 0);
+                let written = expand_xz(block, &mut content[before..], xz)?;
+                content.truncate(before + written);
+            }
+        }
+        (content.len() - before == length).then_some(())
+    }
+}
+
+/// LZMA blocks are .xz streams. How many bytes were written. The decoder's dictionary takes up to 64 MB, as much as that of
+/// the strongest preset.
+fn expand_xz(mut block: &[u8], content: &mut [u8], decoder: &mut XzDecoder) -> Option<usize> {
+    decoder.reset();
+    let mut written = 0;
+    loop {
+        match decoder.decode(block, &mut content[written..]).ok()? {
+            XzNextBlockResult::EndOfStream(_, out) => return Some(written + out),
+            XzNextBlockResult::NeedMoreData(0, 0) => return None,
+            XzNextBlockResult::NeedMoreData(read, out) => {
+                block = block.get(read..)?;
+                written += out;
+            }
+        }
+    }
+}
+
+fn number_of_type(name: &str) -> Option<Number> {
+    Some(match name {
+        "Int8" => Number::I8,
+        "UInt8" => Number::U8,
+        "Int16" => Number::I16,
+        "UInt16" => Number::U16,
+        "Int32" => Number::I32,
+        "UInt32" => Number::U32,
+        "Int64" => Number::I64,
+        "UInt64" => Number::U64,
+        "Float32" => Number::F32,
+        "Float64" => Number::F64,
+        _ => return None,
+    })
 }
 
 fn field(array: &DataArray) -> String {
@@ -405,17 +574,6 @@ fn decoded_head(text: &[u8], bytes: usize) -> Option<Vec<u8>> {
     let mut out = STANDARD.decode(text.get(..base64_length(bytes)?)?).ok()?;
     out.truncate(bytes);
     (out.len() == bytes).then_some(out)
-}
-
-fn convert<const N: usize>(bytes: &[u8], big_endian: bool, number: impl Fn([u8; N]) -> f64) -> Vec<f64> {
-    let number = |b: &[u8; N]| {
-        let mut b = *b;
-        if big_endian {
-            b.reverse();
-        }
-        number(b)
-    };
-    bytes.as_chunks::<N>().0.iter().map(number).collect()
 }
 
 /// Float64 throughout, so that nothing is lost.
