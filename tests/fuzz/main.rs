@@ -7,6 +7,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on stops there")]
 
+mod frames;
 mod meshes;
 mod mutate;
 mod settings;

@@ -15,13 +15,13 @@ use super::prepare::contour::{MAX_FOLDED, Outline};
 use super::prepare::noise::{TANGENTIAL_PER_JUMP, outward_bias_mm};
 use super::prepare::resolution::resolution;
 use super::surface::surface;
-use crate::Result;
 use crate::geometry::Pose;
 use crate::geometry::polyline::lengths;
 use crate::recording::echo_error::angle_jumps_mm;
 use crate::recording::{FRAME_INTERVAL_S, Frame};
 use crate::settings::Settings;
 use crate::surface::Surface;
+use crate::{Error, Result};
 use curve::Curve;
 use glam::{DVec2, DVec3};
 use running_median::RunningMedian;
@@ -115,7 +115,12 @@ impl LiveSweep {
         let contours_mm: Vec<&[DVec2]> =
             self.waiting.iter().map(|placed| &placed.frame.contour_mm[..]).collect();
         // As for infinite noise: a finer grid would take longer than a frame may.
-        let (nodes, step_mm) = resolution(&contours_mm, length_mm, radius_mm, f64::INFINITY, &self.settings)?;
+        let resolution = resolution(&contours_mm, length_mm, radius_mm, f64::INFINITY, &self.settings);
+        let (nodes, step_mm) = match resolution {
+            // Frames that lie too far apart wait for others between them.
+            Err(Error::Recording { .. }) => return Ok(Step::default()),
+            resolution => resolution?,
+        };
         let curve = Curve::along(&curve, &centres, radius_mm);
         let mut vessel = GrowingVessel::along(curve, nodes, step_mm, radius_mm, &self.settings);
         let step = vessel.start(&self.waiting)?;

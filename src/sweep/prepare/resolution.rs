@@ -13,6 +13,8 @@ use std::ops::RangeInclusive;
 const ECHOES_PER_NODE: RangeInclusive<f64> = 1.0..=4.0;
 /// Nodes that fit into the memory of an ordinary machine.
 const MAX_NODES: f64 = 5e7;
+/// Largest distance of two rings, in lumen radii: beyond, the wall between them would be invented.
+const MAX_STEP_RADII: f64 = 2.0;
 /// Nodes per ring, where the settings do not give them.
 const NODES_PER_RING: RangeInclusive<usize> = 16..=256;
 
@@ -46,6 +48,13 @@ pub(in crate::sweep) fn resolution(
         }
     };
     let step_mm = (TAU * radius_mm / nodes as f64).max(min_step_mm);
+    if step_mm > MAX_STEP_RADII * radius_mm {
+        return Err(Error::Recording {
+            field: "frames",
+            found: format!("{with_echoes} along {length_mm:.0} mm with contours of {radius_mm:.2} mm radius"),
+            expected: format!("one every {:.0} radii at least", 2.0 * MAX_STEP_RADII),
+        });
+    }
     if length_mm / step_mm * nodes as f64 > MAX_NODES {
         return Err(Error::Setting {
             name: "sweep.nodes",
