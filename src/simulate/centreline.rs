@@ -2,9 +2,9 @@
 
 use crate::geometry::{Pose, polyline, rotation_minimising_frames};
 use crate::output::write_atomically;
+use crate::recording::Table;
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
-use serde::Deserialize;
 use std::path::Path;
 
 /// The centreline of one branch of a vessel: a smooth curve through given points, parameterised by the length of
@@ -82,33 +82,24 @@ impl Centreline {
     /// [`Error::Read`], and [`Error::Input`] for rows that cannot be read and branches that
     /// [`Centreline::new`] refuses.
     pub fn read_branches(path: &Path) -> Result<Vec<Self>> {
-        #[derive(Deserialize)]
-        struct Row {
-            branch: i64,
-            x_mm: f64,
-            y_mm: f64,
-            z_mm: f64,
-            r_inscribed_mm: f64,
+        let mut table = Table::open(path)?;
+        let branch = table.column("branch")?;
+        let [x, y, z, radius] = table.columns(["x_mm", "y_mm", "z_mm", "r_inscribed_mm"], 1)?;
+        let mut rows: Vec<(f64, DVec3, f64)> = Vec::new();
+        while let Some(row) = table.next_row()? {
+            let number = |column| table.number(&row, column);
+            rows.push((number(branch)?, DVec3::new(number(x)?, number(y)?, number(z)?), number(radius)?));
         }
-        let file = std::fs::File::open(path).map_err(|source| Error::Read { path: path.into(), source })?;
-        let rows = csv::ReaderBuilder::new()
-            .trim(csv::Trim::All)
-            .from_reader(file)
-            .into_deserialize()
-            .collect::<Result<Vec<Row>, csv::Error>>()
-            .map_err(|e| {
-                Error::input(path, "rows", e, "columns branch, x_mm, y_mm, z_mm, r_inscribed_mm with numbers")
-            })?;
         if rows.is_empty() {
             return Err(Error::input(path, "rows", "none", "the points of at least one branch"));
         }
-        rows.chunk_by(|a, b| a.branch == b.branch)
+        rows.chunk_by(|(a, ..), (b, ..)| a == b)
             .map(|branch| {
-                let points = branch.iter().map(|r| DVec3::new(r.x_mm, r.y_mm, r.z_mm)).collect();
-                let radii = branch.iter().map(|r| r.r_inscribed_mm).collect();
+                let points = branch.iter().map(|&(_, point, _)| point).collect();
+                let radii = branch.iter().map(|&(.., radius)| radius).collect();
                 Self::new(points, radii).map_err(|error| match error {
                     Error::Surface { what, found, expected } => {
-                        Error::input(path, format!("branch {}: {what}", branch[0].branch), found, expected)
+                        Error::input(path, format!("branch {}: {what}", branch[0].0), found, expected)
                     }
                     other => other,
                 })

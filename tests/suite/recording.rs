@@ -359,7 +359,7 @@ fn bad_csv_lines_are_named_with_what_was_expected() {
     let contours = "frame,x_mm,y_mm\n3,1,1\n4,2,2\n";
     let cylinders = "frame,px_mm,py_mm,theta_rad,phi_rad,radius_mm\n3,0,0,1,1,1\n";
     let cases = [
-        ("poses", "x_mm,y_mm", "x,y_mm", "poses.csv: x_mm: found columns frame, x, y_mm"),
+        ("poses", "x_mm,y_mm", "x_px,y_mm", "poses.csv: x_mm: found columns frame, x_px, y_mm"),
         ("poses", "x_mm,y_mm", "x_mm,x_mm", "poses.csv: x_mm: found two columns of that name, expected one"),
         ("poses", "4,0", "3,0", "poses.csv: line 3: frame: found 3, expected a number above 3"),
         ("poses", "4,0", "2,0", "poses.csv: line 3: frame: found 2, expected a number above 3"),
@@ -377,7 +377,7 @@ fn bad_csv_lines_are_named_with_what_was_expected() {
             "poses",
             "4,0,0,0,0,0,0,1",
             "4,0,0,0,0",
-            "poses.csv: line 3: qy: found a line of 5 fields, expected at least 6",
+            "poses.csv: line 3: found 5 fields, expected 8, one for each column name",
         ),
         (
             "poses",
@@ -528,7 +528,7 @@ fn a_pose_that_the_tracker_did_not_report_is_lost() {
             "0,0,9,0,0,0,1,ERR42",
             "poses.csv: line 4: status: found \"ERR42\", expected OK, or MISSING",
         ),
-        ("ok", "0,0,9,0,0,0,1,maybe", "poses.csv: line 4: status: found \"maybe\", expected OK, or MISSING"),
+        ("ok", "0,0,9,0,0,0,1,maybe", "poses.csv: line 4: ok: found \"maybe\", expected OK, or MISSING"),
         (
             "status",
             "0,0,9,0,0,0,1,3",
@@ -537,6 +537,43 @@ fn a_pose_that_the_tracker_did_not_report_is_lost() {
     ] {
         let message =
             read(&poses_with(header, &[(9, line), (10, "0,0,9,0,0,0,1,4")])).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+}
+
+#[test]
+fn contours_may_have_one_line_for_each_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let poses = "frame,x_mm,y_mm,z_mm,qx,qy,qz,qw\n3,0,0,0,0,0,0,1\n4,0,0,0,0,0,0,1\n";
+    let read = |contours: &str| {
+        write_csv(folder.path(), poses, contours, None);
+        Recording::read(folder.path()).map_err(|e| e.to_string())
+    };
+    let long = read("frame,x_mm,y_mm\n3,1,2\n3,3,4\n3,,\n4,5,6\n4,7,8\n4,9,10\n").unwrap();
+    for wide in [
+        "frame,x0,y0,x1,y1,x2,y2\n3,1,2,3,4,,\n4,5,6,7,8,9,10\n",
+        "frame,x_1,x_2,x_3,y_1,y_2,y_3\n3,1,3,NaN,2,4,NaN\n4,5,7,9,6,8,10\n",
+        "y[0] (cm);x[0] (cm);y[1] (cm);x[1] (cm);y[2] (cm);x[2] (cm);frame\n,2;,1;,4;,3;;;3\n,6;,5;,8;,7;1;,9;4\n",
+        "frame\tx2_mm\ty2_mm\tx10_mm\ty10_mm\tx11_mm\ty11_mm\n3\t1\t2\t3\t4\t\t\n4\t5\t6\t7\t8\t9\t10\n",
+    ] {
+        assert_eq!(difference(&long, &read(wide).unwrap(), 0.0), None, "{wide}");
+    }
+    for (contours, expected) in [
+        (
+            "frame,x0,y0,x1\n3,1,2,3\n",
+            "contours.csv: columns: found 2 columns of x and 1 of y, expected as many of each",
+        ),
+        (
+            "frame,x0,y0\n3,1,2\n3,1,2\n",
+            "contours.csv: line 3: frame: found a second line for this frame, expected one",
+        ),
+        (
+            "frame,x0,y0,x00,y1\n3,1,2,3,4\n",
+            "contours.csv: x_mm: found two columns of one number, expected one of each",
+        ),
+        ("frame,x0,y0\n3,1,\n", "contours.csv: frame 3: contour: found (1, NaN) at point 0"),
+    ] {
+        let message = read(contours).unwrap_err();
         assert!(message.contains(expected), "{message}");
     }
 }

@@ -5,6 +5,7 @@ pub(super) mod mat;
 mod mat5;
 mod status;
 mod table;
+mod units;
 
 pub(crate) use table::Table;
 
@@ -12,8 +13,8 @@ use super::Recording;
 use crate::Error;
 use std::path::{Path, PathBuf};
 
-/// The frames' numbers, or their places where the numbers do not rise, as a reader demands: then the frames were put in
-/// another order or come from several files.
+/// The frames' numbers, or their places where the numbers do not rise, as a reader demands: then the frames
+/// were put in another order or come from several files.
 fn rising_numbers(recording: &Recording) -> impl Iterator<Item = usize> + '_ {
     let numbers =
         |own: bool| (0..recording.frames.len()).map(move |k| if own { recording.number(k) } else { k });
