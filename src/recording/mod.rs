@@ -35,6 +35,9 @@ pub struct Frame {
     pub contour_mm: Vec<DVec2>,
     /// The local cylinder, where the recording carries one.
     pub cylinder: Option<CylinderModel>,
+    /// How far the rotation in its file was from orthonormal, the largest element of |RᵀR − I|, where that was more than
+    /// [`Recording::check`] allows, so that the reader made it orthonormal.
+    pub rotation_error: Option<f64>,
     /// The frame's number in its file, where that is not its place in the recording. See [`Recording::number`].
     pub number: Option<usize>,
 }
@@ -42,7 +45,14 @@ pub struct Frame {
 impl Frame {
     /// A frame without a time, a cylinder or a number of its own.
     pub fn new(world_from_sensor: Pose, contour_mm: Vec<DVec2>) -> Self {
-        Self { world_from_sensor, time_s: None, contour_mm, cylinder: None, number: None }
+        Self {
+            world_from_sensor,
+            time_s: None,
+            contour_mm,
+            cylinder: None,
+            rotation_error: None,
+            number: None,
+        }
     }
 
     /// Sets the time.
@@ -241,6 +251,15 @@ impl Frame {
         defects
     }
 
+    /// Makes a rotation orthonormal that was rounded to few digits.
+    fn orthonormalise(&mut self) {
+        let error = self.world_from_sensor.orthogonality_error();
+        if ROTATION_TOLERANCE < error && error <= ROUNDING_TOLERANCE {
+            self.world_from_sensor = self.world_from_sensor.orthonormalised();
+            self.rotation_error = Some(error);
+        }
+    }
+
     fn rotation_defect(&self) -> Option<(String, &'static str)> {
         let rotation = &self.world_from_sensor.rotation;
         if !rotation.is_finite() {
@@ -277,6 +296,9 @@ const MAX_POSITION_MM: f64 = 1e6;
 
 /// Largest element of |RᵀR − I| that rounding in a tracker's output explains.
 const ROTATION_TOLERANCE: f64 = 1e-3;
+
+/// Largest element of |RᵀR − I| that rounding to two or three digits explains: readers make such rotations orthonormal.
+const ROUNDING_TOLERANCE: f64 = 1e-2;
 
 fn unknown_ending(path: &Path) -> Error {
     Error::UnknownEnding {

@@ -8,4 +8,5 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on stops there")]
 
 mod mutate;
+mod recordings;
 mod settings;

@@ -212,6 +212,149 @@ fn files_that_octave_writes_are_read() {
     assert_eq!(model.cylinder.unwrap().radius_mm, 7.0);
 }
 
+/// Octave code that turns the good recording's frames.
+const TURNED: &str = "for k = 1:4, a = 0.3 * k; c = cos(a); s = sin(a); \
+    rotm(:, :, k) = [c -s 0; s c 0; 0 0 1]; q(k, :) = [cos(a / 2) 0 0 sin(a / 2)]; \
+    tf(:, :, k) = [rotm(:, :, k) Ep(k, :)'; 0 0 0 1]; \
+    xy{k} = [x_data(k, :)' y_data(k, :)']; yx{k} = [x_data(k, :); y_data(k, :)]; end; P = Ep; X = x_data; Y = y_data; \
+    R = rotm; clear a c s k;";
+
+#[test]
+fn arrays_that_others_arrange_otherwise_are_read() {
+    let kept = "Ep = P; x_data = X; y_data = Y; clear R P X Y tf q xy yx";
+    let cases = [
+        "rec.rotm = R; rec.Ep = P; rec.x_data = X; rec.y_data = Y; clear rotm Ep x_data y_data",
+        "s.pose.rotm = R; s.pose.Ep = P; s.note = 'a'; s.image.x_data = X; s.more = {1, 'b', {2}}; y_data = Y; \
+         clear rotm Ep x_data",
+        "Ep = P'; rotm = permute(R, [3 1 2]); x_data = X'; y_data = Y'",
+        "quat_wxyz = q; clear rotm",
+        "quat_xyzw = q(:, [2 3 4 1])'; clear rotm",
+        "wTe = tf; clear rotm Ep",
+        "poses = permute(tf, [3 1 2]); clear rotm Ep",
+        "T = permute(tf, [2 1 3]); clear rotm Ep",
+        "x_data = num2cell(X, 2); y_data = num2cell(Y, 2)'",
+        "contours = xy; clear x_data y_data",
+        "rec.contours = yx'; clear x_data y_data",
+        "valid = true(4, 1); status = {'OK'; 'OK'; 'TOOL_OK'; 'ok'}",
+        // What else may be named as ours is left alone.
+        "status = 'done'; T = 300; ok = 1; pose = {1}",
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let mut code = format!("{GOOD} {TURNED} save -v7 plain.mat rotm Ep x_data y_data; ");
+    for (i, change) in cases.iter().enumerate() {
+        let rest = if change.contains("T = 3") { kept } else { "clear R P X Y tf q xy yx" };
+        code +=
+            &format!("clear all; {GOOD} {TURNED} {change}; {rest}; save -v7 c{i}.mat; save -v6 d{i}.mat; ");
+    }
+    code += &format!(
+        "clear all; {GOOD} {TURNED} quat_wxyz = q; text = 'abc'; save -v4 v4.mat quat_wxyz Ep x_data y_data text"
+    );
+    if octave(folder.path(), &code).is_none() {
+        return;
+    }
+    let plain = Recording::read(&folder.path().join("plain.mat")).unwrap();
+    assert!((plain.frames[2].world_from_sensor.rotation.x_axis.y - 0.9_f64.sin()).abs() < 1e-15);
+    let same = |name: String| {
+        let recording = Recording::read(&folder.path().join(&name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert_eq!(difference(&plain, &recording, 1e-12), None, "{name}");
+    };
+    for (i, _) in cases.iter().enumerate() {
+        same(format!("c{i}.mat"));
+        same(format!("d{i}.mat"));
+    }
+    same("v4.mat".into());
+}
+
+#[test]
+fn ragged_contours_and_lost_poses_are_read_from_cells_and_flags() {
+    let folder = tempfile::tempdir().unwrap();
+    let code = format!(
+        "{GOOD} contours = {{[1 2; 3 4; 5 6], [], [7 8], zeros(0, 2)}}; clear x_data y_data; save -v7 points.mat; \
+         clear contours; x_data = {{[1 3 5], [], 7, zeros(1, 0)}}; y_data = {{[2; 4; 6], [], 8, []}}; save -v7 vectors.mat; \
+         valid = [1 0 1 1]; status = {{'OK', 'OK', 'OK', 'OUT_OF_VIEW'}}; save -v7 lost.mat; \
+         valid = logical(valid); clear status; rotm = round(rotm * 100) / 100; rotm(:, :, 3) = [.8 -.6 0; .6 .803 0; 0 0 1]; \
+         save -v7 rounded.mat"
+    );
+    if octave(folder.path(), &code).is_none() {
+        return;
+    }
+    let read = |name: &str| Recording::read_unchecked(&folder.path().join(name)).unwrap();
+    let points = read("points.mat");
+    let expected = [
+        vec![DVec2::new(1.0, 2.0), DVec2::new(3.0, 4.0), DVec2::new(5.0, 6.0)],
+        vec![],
+        vec![DVec2::new(7.0, 8.0)],
+        vec![],
+    ];
+    assert!(points.frames.iter().map(|f| &f.contour_mm).eq(&expected));
+    assert_eq!(difference(&points, &read("vectors.mat"), 0.0), None);
+    assert_eq!(lost(&read("lost.mat")), [1, 3]);
+    let rounded = read("rounded.mat");
+    assert_eq!(lost(&rounded), [1]);
+    let frame = &rounded.frames[2];
+    // 0.803² + 0.6² − 1.
+    assert!((frame.rotation_error.unwrap() - 4.809e-3).abs() < 1e-12);
+    assert!(frame.world_from_sensor.orthogonality_error() < 1e-15);
+    assert!((frame.world_from_sensor.rotation.x_axis.y - 0.6).abs() < 2e-3);
+    assert!(rounded.frames[0].rotation_error.is_none());
+    let said = lumenmesh::recording::Summary::of(&rounded).to_string();
+    assert!(said.contains("rotations       1 made orthonormal"), "{said}");
+}
+
+#[test]
+fn arrays_that_can_be_read_in_two_ways_are_refused() {
+    let cases = [
+        (
+            "quat = q; clear rotm",
+            "quat: found quaternions in an order that the name does not state, expected the name quat_wxyz",
+        ),
+        (
+            "Ep = Ep'; x_data = X(:, 1:4); y_data = Y(:, 1:4)",
+            "x_data: found 4x4, which can be read in two ways, beside Ep, which is transposed",
+        ),
+        (
+            "contours = {eye(2), eye(2), [], eye(2)}; clear x_data y_data",
+            "contours{4}: found 2x2, expected a cell that tells",
+        ),
+        (
+            "contours = {ones(3, 2), ones(2, 3), [], []}; clear x_data y_data",
+            "contours{2}: found 2x3, expected Mx2, as in",
+        ),
+        ("contours = {1, 2, 3, ones(4)}; clear x_data y_data", "contours{1}: found 1x1, expected Mx2 or 2xM"),
+        ("contours = {'a', 2, 3, 4}; clear x_data y_data", "contours{1}: found text, expected cells of Mx2"),
+        ("contours = {1, 2, 3}; clear x_data y_data", "contours: found 3 cells, expected 4, one per frame"),
+        (
+            "x_data = {1, 2, 3, 4}; y_data = {1, [1 2], 3, 4}",
+            "y_data{2}: found 2 numbers, expected 1 (as x_data)",
+        ),
+        ("x_data = {1, 2, eye(3), 4}; y_data = {1, 2, 3, 4}", "x_data{3}: found 3x3, expected a vector"),
+        ("a.rotm = b.rotm = R; clear rotm", "rotm: found a.rotm, b.rotm, expected one variable of that name"),
+        (
+            "wTe = tf; wTe(4, 2, 3) = 1; clear rotm Ep",
+            "wTe: found a transform whose last row is not 0, 0, 0, 1",
+        ),
+        (
+            "wTe = repmat(eye(4), [1 1 5]); clear rotm Ep",
+            "wTe: found transforms without a translation, expected",
+        ),
+        ("T = 300; clear rotm", "T: found 1x1, expected 4x4xF, one transform per frame"),
+        ("frame_number = [1 2 2 3]", "frame_number(3): found 2, expected whole numbers that rise"),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let mut code = String::new();
+    for (i, (change, _)) in cases.iter().enumerate() {
+        code += &format!("clear all; {GOOD} {TURNED} {change}; save -v7 bad{i}.mat; ");
+    }
+    if octave(folder.path(), &code).is_none() {
+        return;
+    }
+    for (i, (change, expected)) in cases.iter().enumerate() {
+        let message =
+            Recording::read(&folder.path().join(format!("bad{i}.mat"))).expect_err(change).to_string();
+        assert!(message.contains(expected), "{change}: {message}");
+    }
+}
+
 #[test]
 fn scipy_and_we_read_each_others_files() {
     let folder = tempfile::tempdir().unwrap();
@@ -233,11 +376,20 @@ fn scipy_and_we_read_each_others_files() {
 #[test]
 fn bad_mat_variables_are_named_with_what_was_expected() {
     let cases = [
-        ("clear Ep", "Ep: found no variable of that name, expected rotm, Ep, x_data and y_data"),
+        (
+            "clear Ep",
+            "Ep: found no variable of that name among rotm, x_data, y_data, expected rotm, Ep, x_data and y_data",
+        ),
         ("clear y_data", "y_data: found no variable of that name"),
-        ("Ep = Ep'", "Ep: found 3x4, expected Fx3"),
-        ("rotm = rotm(:, :, 1:3)", "rotm: found 3x3x3, expected 3x3x4 (Ep is 4x3)"),
-        ("x_data = x_data'", "x_data: found 5x4, expected 4xM (Ep is 4x3)"),
+        (
+            "rec.rot = rotm; clear rotm",
+            "rotm: found no variable of that name among Ep, rec (rot), x_data, y_data",
+        ),
+        ("clear all; a.b.c = d = 1", "Ep: found no variable of that name among a (b (c)), d, expected"),
+        ("Ep = Ep(:, 1:2)", "Ep: found 4x2, expected Fx3"),
+        ("rotm = rotm(:, :, 1:3)", "rotm: found 3x3x3, expected 3x3x4, for 4 frames"),
+        ("x_data = x_data'", "y_data: found 4x5, expected 5x4 (as x_data)"),
+        ("x_data = x_data(1:3, :)", "x_data: found 3x5, expected 4xM, for 4 frames"),
         ("y_data = y_data(:, 1:4)", "y_data: found 4x4, expected 4x5 (as x_data)"),
         ("x_data = x_data * i", "x_data: found complex numbers, expected a full array of real numbers"),
         ("rotm = {rotm}", "rotm: found a cell array, expected"),
@@ -295,12 +447,23 @@ fn files_that_are_no_mat_files_say_what_they_are() {
     hdf5.extend(b"\x89HDF\r\n\x1a\n");
     for content in [hdf5.as_slice(), b"\x89HDF\r\n\x1a\n and so on"] {
         let said = message("v73.mat", content);
-        assert!(said.contains("format: found version 7.3 (HDF5), expected"), "{said}");
+        assert!(said.contains("v73.mat: format: found"), "{said}");
         assert!(said.contains("save with -v7"), "{said}");
     }
     assert!(message("empty.mat", b"").contains("found an empty file"));
     assert!(message("noise.mat", &[7; 300]).contains("found a file without the header of one"));
-    assert!(message("text.mat", b"# Created by Octave 9.2.0").contains("Octave's own format"));
+    for (content, expected) in [
+        (
+            b"# Created by Octave 9.2.0".as_slice(),
+            "found a file of Octave's own text format, expected a MAT-file (in",
+        ),
+        (b"Octave-1-L\0", "found a file of Octave's own binary format"),
+        (b"\x1f\x8b\x08\0\0\0\0\0", "found a file compressed by gzip (unpack it first)"),
+        (b"PK\x03\x04", "found a zip archive"),
+    ] {
+        let said = message("other.mat", content);
+        assert!(said.contains(expected), "{said}");
+    }
     assert!(message("rec.npz", b"PK").contains("unknown ending \"npz\", expected one of mat"));
     let absent = Recording::read(&folder.path().join("absent.mat")).unwrap_err().to_string();
     assert!(absent.contains("absent.mat: cannot read: "), "{absent}");

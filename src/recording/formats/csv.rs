@@ -10,24 +10,21 @@
 //! is [lost](Pose::LOST) where one of its numbers is missing, where a [status](StatusColumn) says so, and where
 //! a frame of `contours.csv` has no line in `poses.csv`.
 
-use super::rising_numbers;
 use super::status::StatusColumn;
 use super::table::{Column, Table, TableRow};
+use super::{rising_numbers, rotation};
 use crate::geometry::Pose;
 use crate::output::write_atomically;
 use crate::recording::CylinderModel;
 use crate::recording::{Frame, Recording};
 use crate::{Error, Result};
-use glam::{DMat3, DQuat, DVec2, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 use std::collections::BTreeMap;
 use std::path::Path;
 
 const POSES: &str = "poses.csv";
 const CONTOURS: &str = "contours.csv";
 const CYLINDERS: &str = "cylinders.csv";
-
-/// Quaternions this far from unit length are rounded ones.
-const UNIT_TOLERANCE: f64 = 1e-3;
 
 pub(in crate::recording) fn read(folder: &Path) -> Result<Recording> {
     let mut frames = read_poses(&folder.join(POSES))?;
@@ -56,7 +53,8 @@ pub(in crate::recording) fn read(folder: &Path) -> Result<Recording> {
             }
         }
     }
-    let place = |(k, (number, frame)): (usize, (usize, Frame))| {
+    let place = |(k, (number, mut frame)): (usize, (usize, Frame))| {
+        frame.orthonormalise();
         frame.with_number(Some(number).filter(|&number| number != k))
     };
     Ok(Recording { frames: frames.into_iter().enumerate().map(place).collect() })
@@ -142,17 +140,6 @@ pub(super) fn file_of(field: &str) -> &'static str {
         "cylinder" | "cylinder radius" => CYLINDERS,
         _ => POSES,
     }
-}
-
-/// A rotation from a quaternion that may be rounded. A quaternion of any other norm n gives axes of length n²,
-/// which [`Frame::defects`] reports.
-fn rotation(q: DQuat) -> DMat3 {
-    let norm = q.length();
-    if norm == 0.0 {
-        return DMat3::ZERO;
-    }
-    let unit = DMat3::from_quat(q / norm);
-    if (norm - 1.0).abs() <= UNIT_TOLERANCE { unit } else { unit * (norm * norm) }
 }
 
 /// A new folder is created as a whole. In an existing folder each of the three files is replaced as a whole.

@@ -496,7 +496,7 @@ pub(super) fn quoted(field: &str) -> String {
 }
 
 /// A text of the file for a message: without control characters, not too long.
-fn shown(text: &str, length: usize) -> String {
+pub(super) fn shown(text: &str, length: usize) -> String {
     let mut shown: String =
         text.chars().take(length).map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
     if text.chars().nth(length).is_some() {
