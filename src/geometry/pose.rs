@@ -17,8 +17,8 @@ impl Pose {
     /// No motion at all.
     pub const IDENTITY: Pose = Pose { rotation: DMat3::IDENTITY, translation_mm: DVec3::ZERO };
 
-    /// The pose of a sensor that the tracker did not see: all its numbers are NaN, so that it equals no pose, not even
-    /// itself.
+    /// The pose of a sensor that the tracker did not see: all its numbers are NaN, so that it equals no pose,
+    /// not even itself.
     pub const LOST: Pose = Pose { rotation: DMat3::NAN, translation_mm: DVec3::NAN };
 
     /// A pose from a position in mm and a unit quaternion.
@@ -52,8 +52,8 @@ impl Pose {
 
     /// The pose with the rotation that is nearest to its own: what rounding took from its axes is made good.
     ///
-    /// Newton's iteration for the orthogonal factor of a polar decomposition; it doubles the digits in each step, so that
-    /// five are enough for a rotation with two good ones.
+    /// Newton's iteration for the orthogonal factor of a polar decomposition; it doubles the digits in each
+    /// step, so that five are enough for a rotation with two good ones.
     #[must_use]
     pub fn orthonormalised(&self) -> Self {
         let step = |rotation: DMat3, _| (rotation + rotation.inverse().transpose()) * 0.5;

@@ -28,8 +28,9 @@ pub struct Pullback {
 impl Pullback {
     /// Reads contours with one line per wall point: frame number, x, y in the image and pullback position z, mm.
     ///
-    /// Tabs, semicolons, commas or blanks separate. Columns are the first four, or those named `frame`, `x_mm`, `y_mm` and
-    /// `z_mm`, also without a unit or with another one, which is converted. A last point that repeats its contour's first is dropped.
+    /// Tabs, semicolons, commas or blanks separate. Columns are the first four, or those named `frame`, `x_mm`,
+    /// `y_mm` and `z_mm`, also without a unit or with another one, which is converted. A last point that
+    /// repeats its contour's first is dropped.
     ///
     /// The probe's origin is `centre_mm`, or else the mean over the frames of their contours' area centroids. The
     /// probe's z axis lies along the world's, or else along `centreline` from its first point, which takes the
@@ -138,8 +139,9 @@ pub struct PullbackPath {
 }
 
 impl PullbackPath {
-    /// Reads points x, y, z in mm, one a line: the first three columns, or those named `x_mm`, `y_mm`, `z_mm`, also without
-    /// a unit or with another one, which is converted. Where a column `branch` is there, the first branch counts.
+    /// Reads points x, y, z in mm, one a line: the first three columns, or those named `x_mm`, `y_mm`, `z_mm`,
+    /// also without a unit or with another one, which is converted. Where a column `branch` is there, the first
+    /// branch counts.
     ///
     /// # Errors
     /// Where the file cannot be read, a number is missing or not finite, or fewer than two points differ.

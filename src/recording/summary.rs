@@ -27,7 +27,8 @@ pub struct Summary {
     pub step_mm: Option<MinMedianMax>,
     /// Angle between the sensor's orientations in consecutive frames, rad.
     pub turn_rad: Option<MinMedianMax>,
-    /// Frames whose rotations were rounded to so few digits in their file that the reader made them orthonormal.
+    /// Frames whose rotations were rounded to so few digits in their file that the reader made them
+    /// orthonormal.
     pub rounded_rotations: usize,
     /// Distance of the wall points from their contour's centroid, mm.
     pub contour_radius_mm: Option<MinMedianMax>,

@@ -76,7 +76,8 @@ impl Centreline {
     }
 
     /// Reads the centrelines of a vessel from a CSV file with the columns `branch`, `x_mm`, `y_mm`, `z_mm` and
-    /// `r_inscribed_mm`, one row per point; others are left alone. Lengths may be in another unit that the name states. A branch is a run of rows with the same number.
+    /// `r_inscribed_mm`, one row per point; others are left alone. Lengths may be in another unit that the name
+    /// states. A branch is a run of rows with the same number.
     ///
     /// # Errors
     /// [`Error::Read`], and [`Error::Input`] for rows that cannot be read and branches that

@@ -3,6 +3,7 @@
 use crate::mutate::{File, fuzz, inputs};
 use flate2::{Compression, write::ZlibEncoder};
 use glam::{DQuat, DVec2, DVec3};
+use hdf5_pure::{AttrValue, DatasetBuilder, FileBuilder};
 use lumenmesh::evaluate::read_values;
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{CylinderModel, Frame, Pullback, PullbackPath, Recording, Summary};
@@ -24,7 +25,8 @@ fn recording() -> Recording {
     Recording { frames: (0..3).map(frame).collect() }
 }
 
-/// What all readers of recordings promise: what was read can be summarised, and what passes the check can be written.
+/// What all readers of recordings promise: what was read can be summarised, and what passes the check can be
+/// written.
 fn reads(path: &Path) -> bool {
     let Ok(recording) = Recording::read_unchecked(path) else { return false };
     let _any = Summary::of(&recording).to_string();
@@ -125,7 +127,8 @@ fn compressed_mat_files() {
     let seeds = [mat(), mat_of_a_struct()].map(|plain| compressed(&plain));
     assert!(seeds.iter().all(|seed| reads(file.holding(seed))));
     let accepted = fuzz(&seeds, &MAT_TOKENS, |bytes| reads(file.holding(bytes)));
-    // What the mutations leave whole is the deflate stream of few inputs only: the others are mutated inside it.
+    // What the mutations leave whole is the deflate stream of few inputs only: the others are mutated inside
+    // it.
     let inside = fuzz(&[mat(), mat_of_a_struct()], &MAT_TOKENS, |bytes| {
         let variable = bytes.get(128..).unwrap_or_default();
         let mut stream = ZlibEncoder::new(Vec::new(), Compression::fast());
@@ -157,6 +160,38 @@ fn mat_files_of_version_4() {
     let file = File::new("rec.mat");
     assert!(reads(file.holding(&seed)));
     let accepted = fuzz(&[seed], &MAT_TOKENS, |bytes| reads(file.holding(bytes)));
+    assert!(0 < accepted && accepted < inputs(), "{accepted} accepted");
+}
+
+/// A recording of version 7.3 of two frames, the arrays in chunks or not.
+fn mat_of_version_7_3(deflate: bool) -> Vec<u8> {
+    let mut file = FileBuilder::new();
+    let doubles = |dataset: &mut DatasetBuilder, shape: &[u64], values: &[f64]| {
+        dataset.with_f64_data(values).with_shape(shape);
+        dataset.set_attr("MATLAB_class", AttrValue::AsciiString("double".into()));
+        if deflate {
+            dataset.with_deflate(1);
+        }
+    };
+    let mut cells = file.create_group("#refs#");
+    doubles(cells.create_dataset("a"), &[2, 3], &[1.0, 0.0, -1.0, 0.0, 1.0, -1.0]);
+    doubles(cells.create_dataset("b"), &[2, 2], &[1.0, 0.0, 0.0, 1.0]);
+    file.add_group(cells.finish());
+    let mut rec = file.create_group("rec");
+    doubles(rec.create_dataset("Ep"), &[3, 2], &[0.0, 0.0, 0.0, 0.0, 1.0, 2.0]);
+    doubles(rec.create_dataset("quat_wxyz"), &[4, 2], &[1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    file.add_group(rec.finish());
+    let contours = file.create_dataset("contours").with_path_references(&["/#refs#/a", "/#refs#/b"]);
+    contours.with_shape(&[2, 1]).set_attr("MATLAB_class", AttrValue::AsciiString("cell".into()));
+    file.finish().unwrap()
+}
+
+#[test]
+fn mat_files_of_version_7_3() {
+    let file = File::new("rec.mat");
+    let seeds = [mat_of_version_7_3(false), mat_of_version_7_3(true)];
+    assert!(seeds.iter().all(|seed| reads(file.holding(seed))));
+    let accepted = fuzz(&seeds, &MAT_TOKENS, |bytes| reads(file.holding(bytes)));
     assert!(0 < accepted && accepted < inputs(), "{accepted} accepted");
 }
 

@@ -2,6 +2,7 @@
 
 use crate::support::shared;
 use glam::{DQuat, DVec2, DVec3};
+use hdf5_pure::{AttrValue, FileBuilder};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::CylinderModel;
 use lumenmesh::recording::{Frame, Recording};
@@ -10,8 +11,8 @@ use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 use std::process::Command;
 
-/// Frames with ragged contours, missing echoes, times and cylinders on some of them, and in one of three recordings
-/// numbers with gaps.
+/// Frames with ragged contours, missing echoes, times and cylinders on some of them, and in one of three
+/// recordings numbers with gaps.
 fn some_recording(seed: u64) -> Recording {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (frames, rays) = (random.random_range(1..30), random.random_range(0..40));
@@ -467,6 +468,89 @@ fn files_that_are_no_mat_files_say_what_they_are() {
     assert!(message("rec.npz", b"PK").contains("unknown ending \"npz\", expected one of mat"));
     let absent = Recording::read(&folder.path().join("absent.mat")).unwrap_err().to_string();
     assert!(absent.contains("absent.mat: cannot read: "), "{absent}");
+}
+
+/// A dataset as MATLAB writes it: the sizes in reverse order, and what it is in an attribute.
+fn dataset(builder: &mut hdf5_pure::DatasetBuilder, class: &str, shape: &[u64]) {
+    let reversed: Vec<u64> = shape.iter().rev().copied().collect();
+    builder.with_shape(&reversed).set_attr("MATLAB_class", AttrValue::AsciiString(class.into()));
+}
+
+/// A file of version 7.3 of two frames: a struct, an array in chunks, a cell array, an empty array, and a
+/// variable that nobody asked for.
+fn version_7_3() -> Vec<u8> {
+    let mut file = FileBuilder::new();
+    file.with_userblock(512).with_userblock_content(b"MATLAB 7.3 MAT-file, Platform: GLNXA64");
+    let mut rec = file.create_group("rec");
+    rec.set_attr("MATLAB_class", AttrValue::AsciiString("struct".into()));
+    // A turn by a quarter about z, and none.
+    let quarter = [0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    dataset(rec.create_dataset("rotm").with_f64_data(&quarter).with_deflate(3), "double", &[3, 3, 2]);
+    dataset(rec.create_dataset("Ep").with_f32_data(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), "single", &[2, 3]);
+    file.add_group(rec.finish());
+    let mut cells = file.create_group("#refs#");
+    dataset(cells.create_dataset("a").with_f64_data(&[1.0, 3.0, 5.0, 2.0, 4.0, 6.0]), "double", &[3, 2]);
+    dataset(cells.create_dataset("b").with_f64_data(&[7.0, 8.0]), "double", &[1, 2]);
+    file.add_group(cells.finish());
+    dataset(
+        file.create_dataset("contours").with_path_references(&["/#refs#/a", "/#refs#/b"]),
+        "cell",
+        &[1, 2],
+    );
+    dataset(file.create_dataset("valid").with_u8_data(&[0, 1]), "logical", &[2, 1]);
+    dataset(file.create_dataset("image").with_u8_data(&[7; 24]), "uint8", &[2, 3, 4]);
+    let empty = file.create_dataset("time_s").with_u64_data(&[0, 0]);
+    empty.set_attr("MATLAB_empty", AttrValue::U64(1));
+    dataset(empty, "double", &[2]);
+    file.finish().unwrap()
+}
+
+#[test]
+fn version_7_3_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rec.mat");
+    std::fs::write(&path, version_7_3()).unwrap();
+    let recording = Recording::read_unchecked(&path).unwrap();
+    assert_eq!(lost(&recording), [0]);
+    let [first, second] = &recording.frames[..] else { panic!("two frames") };
+    assert_eq!(first.contour_mm, [DVec2::new(1.0, 2.0), DVec2::new(3.0, 4.0), DVec2::new(5.0, 6.0)]);
+    assert_eq!(second.contour_mm, [DVec2::new(7.0, 8.0)]);
+    assert_eq!(
+        second.world_from_sensor,
+        Pose { translation_mm: DVec3::new(2.0, 4.0, 6.0), ..Pose::IDENTITY }
+    );
+    assert_eq!(second.time_s, None);
+
+    let whole = version_7_3();
+    for length in 0..whole.len() {
+        std::fs::write(&path, &whole[..length]).unwrap();
+        let read = Recording::read_unchecked(&path);
+        assert!(read.is_err() || length + 100 > whole.len(), "cut at {length}");
+    }
+}
+
+#[test]
+fn what_version_7_3_cannot_say_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rec.mat");
+    let message = |change: &dyn Fn(&mut FileBuilder)| {
+        let mut file = FileBuilder::new();
+        change(&mut file);
+        std::fs::write(&path, file.finish().unwrap()).unwrap();
+        Recording::read_unchecked(&path).unwrap_err().to_string()
+    };
+    // Another program's arrays are in rows, so that each rotation would be read as its inverse.
+    let said = message(&|file| {
+        file.create_dataset("rotm").with_f64_data(&[0.0; 18]).with_shape(&[2, 3, 3]);
+    });
+    assert!(
+        said.contains("rotm: found a dataset that MATLAB has not written (it has no MATLAB_class)"),
+        "{said}"
+    );
+    let said = message(&|file| {
+        dataset(file.create_dataset("Ep").with_f64_data(&[0.0; 6]).with_shape(&[2, 3]), "double", &[2, 3]);
+    });
+    assert!(said.contains("rotm: found no variable of that name"), "{said}");
 }
 
 #[test]

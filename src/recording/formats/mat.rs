@@ -482,9 +482,10 @@ impl<'a> Variables<'a> {
         lost
     }
 
-    /// One number per frame, as a row or a column.
+    /// One number per frame, as a row or a column; none where the array is empty.
     fn column(&mut self, name: &str, frames: usize) -> Result<Option<Vec<f64>>> {
         match self.optional(name)? {
+            Some(Named { value: a, .. }) if a.values.is_empty() && frames > 0 => Ok(None),
             Some(Named { value: a, .. }) if a.shape == [frames, 1] || a.shape == [1, frames] => {
                 Ok(Some(a.values))
             }
