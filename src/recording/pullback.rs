@@ -65,8 +65,11 @@ impl Pullback {
             Some(line) => line.poses(positions_mm.iter().map(|z| z - start_mm)),
         };
         let frame_numbers = contours.iter().map(|c| c.number).collect();
-        let frame = |(pose, contour): (Pose, Contour)| Frame::new(pose, contour.points_mm);
-        let mut frames: Vec<Frame> = poses.into_iter().zip(contours).map(frame).collect();
+        let frame = |(k, (pose, contour)): (usize, (Pose, Contour))| {
+            let number = usize::try_from(contour.number).ok().filter(|&number| number != k);
+            Frame::new(pose, contour.points_mm).with_number(number)
+        };
+        let mut frames: Vec<Frame> = poses.into_iter().zip(contours).enumerate().map(frame).collect();
         let centre_mm = match centre_mm {
             Some(centre) => centre,
             None => mean(frames.iter().filter_map(Frame::centroid_mm)).ok_or_else(|| {

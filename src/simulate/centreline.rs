@@ -66,8 +66,9 @@ impl Centreline {
             frames: Vec::new(),
             frame_step_mm: 0.0,
         };
-        // Fine enough for the turn between two frames to be small, coarse enough for any curve to fit in memory.
-        let steps = (length / 0.25).ceil().clamp(1.0, 1e6) as usize;
+        // Fine enough for the turn between two frames to be small, and no more frames than 25 m of vessel need, whatever
+        // the coordinates in a file are.
+        let steps = (length / 0.25).ceil().clamp(1.0, 1e5) as usize;
         line.frame_step_mm = length / steps as f64;
         let (points, tangents): (Vec<_>, Vec<_>) =
             (0..=steps).map(|i| line.at(i as f64 * line.frame_step_mm)).unzip();
@@ -269,6 +270,12 @@ mod tests {
         let line = quarter_circle();
         let (p, _) = line.at(20.3);
         assert!((line.nearest_mm(p * 0.8, 17.0, 15.0) - 20.3).abs() < 1e-2);
+    }
+
+    #[test]
+    fn the_frames_of_an_endless_curve_are_bounded() {
+        let line = Centreline::new(vec![DVec3::ZERO, DVec3::X * 1e300], vec![1.0; 2]).unwrap();
+        assert_eq!(line.frames.len(), 100_001);
     }
 
     #[test]

@@ -197,6 +197,7 @@ fn a_pullback_becomes_frames_by_rising_position_about_one_origin() {
     std::fs::write(&path, pullback_text()).unwrap();
     let pullback = Pullback::read(&path, None, None).unwrap();
     assert_eq!(pullback.frame_numbers, [12, 40, 90, 385]);
+    assert_eq!((0..4).map(|k| pullback.recording.number(k)).collect::<Vec<_>>(), [12, 40, 90, 385]);
     assert_eq!(pullback.positions_mm, [1.0, 3.0, 5.0, 7.0]);
     assert!(pullback.centre_mm.abs_diff_eq(DVec2::new(4.0, 5.0), 1e-12));
     for (frame, z) in pullback.recording.frames.iter().zip([1.0, 3.0, 5.0, 7.0]) {
@@ -279,6 +280,12 @@ fn decimal_commas_among_commas_are_refused_or_quoted() {
         said.ends_with("line.csv: line 2: found 6 fields, expected 3, one for each column name"),
         "{said}"
     );
+    std::fs::write(&path, "60,00,3,00,1,00\n61,50,3,00,1,00\n").unwrap();
+    let said = PullbackPath::read(&path).unwrap_err().to_string();
+    assert!(
+        said.contains("line.csv: lines: found 6 fields without a decimal point in any, expected 3: "),
+        "{said}"
+    );
 }
 
 #[test]
@@ -307,6 +314,10 @@ fn a_pullback_that_cannot_be_placed_is_refused() {
     let line = "0,0,0\n0,0,50\n";
     let said = refused("1\t2\t3\t0\n1\t2\t4\t0.5\n", line);
     assert!(said.ends_with("line 2: z_mm: found 0.5, expected 0 (as before in frame 1)"), "{said}");
+    let half = good.replace("385\t4\t6.5\t7", "385\t4\tna\t7");
+    assert_ne!(half, good);
+    let said = refused(&half, "0,0,0\n0,0,50\n");
+    assert!(said.contains("contours.tsv: frame 385: contour: found ("), "{said}");
     let said = refused("1\t2\t3\n", line);
     assert!(said.ends_with("line 1: z_mm: found a line of 3 fields, expected at least 4"), "{said}");
     let said = refused("", line);

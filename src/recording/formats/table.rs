@@ -175,7 +175,17 @@ impl Table {
     }
 
     /// Columns of a table that may lack names: then in order from `start`.
+    ///
+    /// # Errors
+    /// Where a name is not there; and where a table without names has more columns, and no number a decimal
+    /// point, because it seems to have decimal commas.
     pub fn columns<const N: usize>(&self, names: [&'static str; N], start: usize) -> Result<[Column; N]> {
+        if self.header.is_empty() && self.delimiter == ',' && self.width > start + N && self.lacks_points() {
+            let found = format!("{} fields without a decimal point in any", self.width);
+            let expected =
+                format!("{}: numbers with decimal commas in quotes, or separated by semicolons", start + N);
+            return Err(Error::input(&self.path, "lines", found, expected));
+        }
         let mut columns = [Column { index: 0, name: "", factor: 1.0 }; N];
         for (i, (column, name)) in columns.iter_mut().zip(names).enumerate() {
             *column = match self.header.is_empty() {
@@ -184,6 +194,11 @@ impl Table {
             };
         }
         Ok(columns)
+    }
+
+    /// Whether no number in the first lines has a decimal point.
+    fn lacks_points(&self) -> bool {
+        !self.text.lines().take(SAMPLE_LINES).any(|line| line.contains('.'))
     }
 
     /// The column of that name.
