@@ -68,6 +68,7 @@ pub mod reconstruction;
 pub mod recording;
 #[cfg(feature = "render")]
 pub mod report;
+mod setters;
 pub mod settings;
 pub mod simulate;
 pub mod study;

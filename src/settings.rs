@@ -10,27 +10,13 @@
 //! ```
 
 use crate::geometry::Pose;
+use crate::recording::Conventions;
+pub use crate::recording::UnfitFrames;
+use crate::setters::setters;
 use crate::{Error, Result};
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-
-/// Adds a setter `with_*` for each field of a struct of settings that hosts cannot write out, since it may gain fields.
-macro_rules! setters {
-    ($type:ident { $($setter:ident => $field:ident: $value:ty),* $(,)? }) => {
-        impl $type {
-            $(
-                #[doc = concat!("Sets [`", stringify!($field), "`](Self::", stringify!($field), ").")]
-                #[must_use]
-                pub fn $setter(mut self, $field: $value) -> Self {
-                    self.$field = $field;
-                    self
-                }
-            )*
-        }
-    };
-}
-pub(crate) use setters;
 
 /// How the wall is reconstructed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -78,20 +64,6 @@ pub enum Backend {
 /// The error of the backend `gpu` in a build without one.
 pub(crate) fn no_gpu_engine() -> Error {
     Error::setting("backend", "gpu", "auto, cpu or reference: this build has no GPU engine (feature `gpu`)")
-}
-
-/// What is done with frames that a [`Screening`](crate::recording::Screening) finds unfit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum UnfitFrames {
-    /// They are left out, and listed with the reason.
-    #[default]
-    LeaveOut,
-    /// The recording is refused.
-    Refuse,
-    /// They are used, unless they have a [defect](crate::recording::Frame::defects): then the recording is refused.
-    Keep,
 }
 
 /// Which distances of a triangle are kept.
@@ -239,6 +211,8 @@ pub struct Settings {
     pub calibration: Calibration,
     /// What is done with frames that are unfit.
     pub unfit_frames: UnfitFrames,
+    /// The conventions of the program that wrote the recording.
+    pub conventions: Conventions,
 }
 
 impl Default for Settings {
@@ -259,12 +233,14 @@ impl Default for Settings {
             sweep: SweepSettings::default(),
             calibration: Calibration::default(),
             unfit_frames: UnfitFrames::default(),
+            conventions: Conventions::default(),
         }
     }
 }
 
 setters!(Settings {
     with_unfit_frames => unfit_frames: UnfitFrames,
+    with_conventions => conventions: Conventions,
     with_method => method: Method,
     with_backend => backend: Backend,
     with_adapter => adapter: Option<String>,

@@ -1,8 +1,7 @@
-use super::print_json;
+use super::{print_json, read_screened};
 use crate::evaluate::{
     Coverage, DEFINITIONS, Distances, Evaluation, Region, Truth, Volumes, evaluate, evaluate_covered,
 };
-use crate::recording::Recording;
 use crate::settings::Settings;
 use crate::simulate::Centreline;
 use crate::surface::Surface;
@@ -124,7 +123,7 @@ impl Arguments {
         };
         let settings = self.config.as_deref().map_or_else(|| Ok(Settings::default()), Settings::read_toml)?;
         let sensor_from_probe = settings.calibration.sensor_from_probe();
-        let recording = Recording::read(path)?;
+        let (recording, _) = read_screened(path, &settings)?;
         let coverage = Coverage::of(&recording, sensor_from_probe, truth.surface(), self.covered_within);
         coverage.map(Some).map_err(|e| e.in_file(&self.truth))
     }

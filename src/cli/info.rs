@@ -1,5 +1,6 @@
+use super::conventions::ConventionArguments;
 use crate::Result;
-use crate::recording::{Recording, Summary};
+use crate::recording::{Conventions, Recording, Summary};
 use std::path::PathBuf;
 
 /// Show a summary of a recording
@@ -13,11 +14,14 @@ pub(super) struct Arguments {
     /// Print JSON instead of text
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    conventions: ConventionArguments,
 }
 
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
-        let summary = Summary::of(&Recording::read_unchecked(&self.recording)?);
+        let conventions = self.conventions.over(Conventions::default());
+        let summary = Summary::of(&conventions.apply(&Recording::read_unchecked(&self.recording)?));
         let text = if self.json {
             format!("{:#}\n", serde_json::json!(summary))
         } else {

@@ -12,6 +12,7 @@ macro_rules! println {
 }
 
 mod bench;
+mod conventions;
 mod demo;
 #[cfg(feature = "gpu")]
 mod devices;
@@ -30,8 +31,11 @@ mod simulate;
 mod study;
 mod vessel;
 
+use crate::recording::{Recording, Screened, Screening};
+use crate::settings::Settings;
 use crate::{Error, Result};
 use clap::{Parser, Subcommand};
+use std::path::Path;
 use std::process::ExitCode;
 
 #[derive(Parser)]
@@ -86,6 +90,25 @@ pub fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Reads a recording and prepares it as [`Reconstructor::run`](crate::reconstruction::Reconstructor::run) does.
+fn read_screened(path: &Path, settings: &Settings) -> Result<(Recording, Screening)> {
+    let read = Recording::read_unchecked(path)?;
+    let screened =
+        Screened::of(&read, &settings.conventions, settings.unfit_frames).map_err(|e| e.in_file(path))?;
+    screened.recording.check().map_err(|e| e.in_file(path))?;
+    let screening = screened.screening;
+    Ok((screened.recording.into_owned(), screening))
+}
+
+/// N numbers separated by commas.
+fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+    let parts = text
+        .split(',')
+        .map(|part| part.trim().parse::<f64>().map_err(|_| format!("{part:?} is not a number")))
+        .collect::<Result<Vec<_>, _>>()?;
+    parts.try_into().map_err(|parts: Vec<f64>| format!("found {} numbers, expected {N}", parts.len()))
 }
 
 /// Prints a value as JSON on stdout.

@@ -43,7 +43,7 @@ struct Output<'a> {
     recording: &'a PathBuf,
     mesh: &'a PathBuf,
     settings: &'a Settings,
-    left_out: &'a [LeftOut],
+    screening: &'a Screening,
     #[serde(flatten)]
     report: LumenReport<'a>,
 }
@@ -69,11 +69,11 @@ impl Arguments {
         let report = lumen.report();
         if self.json {
             let (recording, mesh) = (&self.recording, &self.output);
-            let left_out = &lumen.screening().left_out;
-            return print_json(&Output { recording, mesh, settings: &settings, left_out, report });
+            let screening = lumen.screening();
+            return print_json(&Output { recording, mesh, settings: &settings, screening, report });
         }
         print_report(report);
-        print_left_out(lumen.screening());
+        print_screening(lumen.screening());
         println!("mesh       {}", self.output.display());
         if let Some(path) = &self.cylinders {
             println!("cylinders  {}", path.display());
@@ -82,18 +82,26 @@ impl Arguments {
     }
 }
 
-/// The frames that were left out, for people: the first ten.
-pub(super) fn print_left_out(screening: &Screening) {
-    const LISTED: usize = 10;
-    let left_out = &screening.left_out;
-    if left_out.is_empty() {
-        return;
+/// What a screening found, for people.
+pub(super) fn print_screening(screening: &Screening) {
+    for no_echo in &screening.no_echo {
+        println!("no echo    {no_echo}");
     }
-    println!(
-        "left out   {} of {} frames (--strict refuses the recording, --keep uses them where a pose alone is to blame)",
-        left_out.len(),
-        screening.frames
-    );
+    let left_out = &screening.left_out;
+    if !left_out.is_empty() {
+        println!(
+            "left out   {} of {} frames (--strict refuses such a recording, --keep uses them where they have numbers)",
+            left_out.len(),
+            screening.frames
+        );
+    }
+    print_left_out(left_out);
+    screening.suspicions.iter().for_each(|finding| print!("{finding}"));
+}
+
+/// The first ten of these frames, and why they are left out.
+pub(super) fn print_left_out(left_out: &[LeftOut]) {
+    const LISTED: usize = 10;
     for LeftOut { frame, field, found, .. } in left_out.iter().take(LISTED) {
         println!("           frame {frame}: {field}: {found}");
     }
@@ -114,6 +122,11 @@ pub(super) fn lumen(recording: &Recording, settings: &Settings, history: bool) -
         })
         .run(recording);
     bar.finish_and_clear();
+    if let Err(Error::Frame { .. }) = &lumen {
+        // What is suspicious may be why.
+        let screening = Screening::of(&settings.conventions.apply(recording));
+        screening.suspicions.iter().for_each(|finding| eprint!("{finding}"));
+    }
     lumen
 }
 
@@ -207,6 +220,10 @@ fn print_cylinders(report: &CylindersReport) {
     match report.estimated_cylinders {
         0 => println!(),
         n => println!(", {n} cylinder models estimated (the recording has none)"),
+    }
+    if !report.cylinders_left_out.is_empty() {
+        println!("           {} of the cylinders left out:", report.cylinders_left_out.len());
+        print_left_out(&report.cylinders_left_out);
     }
     println!("echoes     {} recorded, {} missing", points.recorded, points.missing);
     println!(

@@ -1,7 +1,8 @@
+use super::reconstruct::print_left_out;
 use super::settings::SettingsArguments;
 use super::{print_json, progress};
-use crate::reconstruction::{Change, Live, Work};
-use crate::recording::{FRAME_INTERVAL_S, Recording};
+use crate::reconstruction::{Live, Work};
+use crate::recording::{FRAME_INTERVAL_S, Finding, LeftOut, Recording, Screening};
 use crate::settings::Settings;
 use crate::{Error, Result, surface};
 use serde::Serialize;
@@ -41,8 +42,12 @@ struct Summary<'a> {
     mesh: &'a PathBuf,
     settings: &'a Settings,
     frames: usize,
-    /// Frames that brought no change because they could not be used, and why.
-    refused: Vec<String>,
+    /// Frames that were left out, and why, in the order in which that was found.
+    left_out: Vec<LeftOut>,
+    /// Frames at which the vessel began anew.
+    restarts: Vec<usize>,
+    /// What is suspicious about the recording as a whole.
+    suspicions: Vec<Finding>,
     /// Frames too far from the vessel's axis to be used.
     off_axis: usize,
     /// The first frame with a vessel.
@@ -83,7 +88,8 @@ impl Arguments {
         let recording = Recording::read_unchecked(&self.recording)?;
         let mut live = Live::new(&settings)?;
         let frames = &recording.frames;
-        let (mut refused, mut times_ms, mut rings) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut left_out, mut restarts, mut times_ms, mut rings) =
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let (mut first_frame, mut most_work, mut off_axis) = (None, Work::default(), 0);
         let bar = progress::bar("playing frames", frames.len());
         let start = Instant::now();
@@ -98,21 +104,23 @@ impl Arguments {
             let before = Instant::now();
             let pushed = live.push(frame);
             times_ms.push(before.elapsed().as_secs_f64() * 1e3);
-            match pushed {
-                Ok(Change { rings, off_axis: is_off, work, .. }) => {
-                    off_axis += usize::from(is_off);
-                    first_frame = first_frame.or((rings > 0).then_some(k));
-                    most_work.echoes = most_work.echoes.max(work.echoes);
-                    most_work.rings = most_work.rings.max(work.rings);
-                }
-                Err(error @ Error::Frame { .. }) => refused.push(format!("frame {k} of the file: {error}")),
-                Err(error) => return Err(error),
+            let change = pushed.map_err(|e| e.in_file(&self.recording))?;
+            off_axis += usize::from(change.off_axis);
+            if change.restarted {
+                restarts.push(k);
+                first_frame = None;
             }
+            first_frame = first_frame.or((change.rings > 0).then_some(k));
+            most_work.echoes = most_work.echoes.max(change.work.echoes);
+            most_work.rings = most_work.rings.max(change.work.rings);
+            left_out.extend(change.left_out);
             if (k + 1) * 10 / frames.len() > k * 10 / frames.len() {
                 rings.push(live.rings());
             }
             bar.inc(1);
         }
+        left_out.extend(live.flush().map_err(|e| e.in_file(&self.recording))?.left_out);
+        left_out.iter_mut().for_each(|one| one.name(&recording));
         bar.finish_and_clear();
         let vessel = live.surface();
         if vessel.triangles.is_empty() {
@@ -129,7 +137,9 @@ impl Arguments {
             mesh: &self.output,
             settings: &settings,
             frames: frames.len(),
-            refused,
+            left_out,
+            restarts,
+            suspicions: Screening::of(&settings.conventions.apply(&recording)).suspicions,
             off_axis,
             first_frame,
             push_ms: Percentiles::of(times_ms),
@@ -153,14 +163,18 @@ impl Summary<'_> {
     fn print(&self) {
         let Percentiles { p50, p95, p99, max } = self.push_ms;
         println!(
-            "frames     {}, {} refused, {} too far from the axis",
+            "frames     {}, {} left out, {} too far from the axis",
             self.frames,
-            self.refused.len(),
+            self.left_out.len(),
             self.off_axis
         );
-        for why in &self.refused {
-            println!("           {why}");
+        print_left_out(&self.left_out);
+        for frame in &self.restarts {
+            println!(
+                "           the vessel began anew at frame {frame}: those before lie off the path of the others"
+            );
         }
+        self.suspicions.iter().for_each(|finding| print!("{finding}"));
         if let Some(frame) = self.first_frame {
             println!(
                 "vessel     from frame {frame} on; {} nodes, {} triangles in the end",

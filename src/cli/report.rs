@@ -1,9 +1,9 @@
 use super::print_json;
-use super::reconstruct::{lumen, print_left_out, print_report};
+use super::reconstruct::{lumen, print_report, print_screening};
 use super::settings::SettingsArguments;
 use crate::evaluate::{Coverage, Truth, evaluate_covered};
 use crate::output::{ending, write_atomically};
-use crate::recording::Recording;
+use crate::recording::{Recording, Screened};
 use crate::report::{PageContent, html};
 use crate::surface::Surface;
 use crate::{Error, Result};
@@ -47,9 +47,14 @@ impl Arguments {
         let evaluation = truth
             .as_ref()
             .map(|truth| {
+                let screened = Screened::of(&recording, &settings.conventions, settings.unfit_frames)?;
                 let sensor_from_probe = settings.calibration.sensor_from_probe();
-                let coverage =
-                    Coverage::of(&recording, sensor_from_probe, truth.surface(), Coverage::WITHIN_MM)?;
+                let coverage = Coverage::of(
+                    &screened.recording,
+                    sensor_from_probe,
+                    truth.surface(),
+                    Coverage::WITHIN_MM,
+                )?;
                 evaluate_covered(&lumen.surface(), truth, &coverage)
             })
             .transpose()?;
@@ -68,13 +73,13 @@ impl Arguments {
             return print_json(&serde_json::json!({
                 "recording": self.recording,
                 "page": self.output,
-                "left_out": lumen.screening().left_out,
+                "screening": lumen.screening(),
                 "report": lumen.report(),
                 "evaluation": evaluation,
             }));
         }
         print_report(lumen.report());
-        print_left_out(lumen.screening());
+        print_screening(lumen.screening());
         if let Some(evaluation) = &evaluation {
             println!("error      {:.4} mm (mean, nodes to truth)", evaluation.mesh_to_truth.mean_mm);
         }

@@ -1,7 +1,7 @@
-use super::print_json;
+use super::{print_json, read_screened};
 use crate::evaluate::{LumenSection, read_values, sections};
 use crate::output::write_atomically;
-use crate::recording::{Pullback, Recording};
+use crate::recording::{LeftOut, Pullback};
 use crate::settings::Settings;
 use crate::surface::Surface;
 use crate::{Error, Result};
@@ -64,6 +64,12 @@ struct Output<'a> {
     recording: &'a Path,
     #[serde(skip_serializing_if = "Option::is_none")]
     median_absolute_difference_percent: Option<f64>,
+    /// Frames with both an area and a value of the table, over which the median is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    compared: Option<usize>,
+    /// Frames with a value of the table.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    with_value: Option<usize>,
     sections: &'a [Line],
 }
 
@@ -73,11 +79,19 @@ impl Arguments {
             Some(path) => Settings::read_toml(path)?,
             None => Settings::default(),
         };
-        let recording = Recording::read(&self.recording)?;
+        let (recording, screening) = read_screened(&self.recording, &settings)?;
         let mesh = Surface::read(&self.mesh)?;
-        let sections = sections(&mesh, &recording, settings.calibration.sensor_from_probe())?;
+        let mut sections = sections(&mesh, &recording, settings.calibration.sensor_from_probe())?;
+        // A frame that was left out has no plane of its own.
+        for LeftOut { place, frame, field, found, .. } in screening.left_out {
+            sections[place] = LumenSection::without(frame, format!("left out: {field}: {found}"));
+        }
         let lines = self.compare(sections)?;
-        let median = median_absolute_difference(&lines);
+        let differences = absolute_differences(&lines);
+        let compared = differences.len();
+        let with_value = lines.iter().filter(|line| line.against_mm2.is_some()).count();
+        let median = median(differences);
+        let against = |count: usize| self.against.is_some().then_some(count);
         if let Some(path) = &self.csv {
             write_csv(&lines, path)?;
         }
@@ -86,6 +100,8 @@ impl Arguments {
                 mesh: &self.mesh,
                 recording: &self.recording,
                 median_absolute_difference_percent: median,
+                compared: against(compared),
+                with_value: against(with_value),
                 sections: &lines,
             });
         }
@@ -103,15 +119,17 @@ impl Arguments {
                 s.equivalent_diameter_mm
             );
             if let (Some(number), Some(against)) = (line.number, line.against_mm2) {
-                let percent = line.difference_percent.unwrap_or(f64::NAN);
-                text += &format!("  {number:7}  {against:7.2}  {percent:+8.1} %");
+                let percent =
+                    line.difference_percent.map_or("-".into(), |percent| format!("{percent:+.1} %"));
+                text += &format!("  {number:7}  {against:7.2}  {percent:>10}");
             }
             text += &s.remark.as_ref().map_or("\n".into(), |remark| format!("  {remark}\n"));
         }
-        if let Some(median) = median {
-            let count = lines.iter().filter(|l| l.against_mm2.is_some()).count();
+        if self.against.is_some() {
+            text += "median absolute difference of area: ";
+            text += &median.map_or("none".into(), |median| format!("{median:.2} %"));
             text += &format!(
-                "median absolute difference of area: {median:.2} % over {count} of {} frames\n",
+                " over {compared} frames with an area, of {with_value} with a value in the table and {} in all\n",
                 lines.len()
             );
         }
@@ -152,20 +170,24 @@ impl Arguments {
         }
         let line = |(section, number): (LumenSection, u64)| {
             let against_mm2 = values.get(&number).copied();
-            let difference_percent = against_mm2.map(|against| 100.0 * (section.area_mm2 / against - 1.0));
+            let difference = |against: f64| 100.0 * (section.area_mm2 / against - 1.0);
+            let difference_percent = against_mm2.map(difference).filter(|percent| percent.is_finite());
             Line { section, number: Some(number), against_mm2, difference_percent }
         };
         Ok(sections.into_iter().zip(numbers).map(line).collect())
     }
 }
 
-/// Over the frames of the table; the difference of a frame without an area counts as infinite.
-fn median_absolute_difference(lines: &[Line]) -> Option<f64> {
-    let size = |d: f64| if d.is_nan() { f64::INFINITY } else { d.abs() };
-    let mut differences: Vec<f64> = lines.iter().filter_map(|l| l.difference_percent).map(size).collect();
-    differences.sort_by(f64::total_cmp);
-    let n = differences.len();
-    (n > 0).then(|| (differences[(n - 1) / 2] + differences[n / 2]) / 2.0)
+/// Of the frames that have both an area and a value of the table, %.
+fn absolute_differences(lines: &[Line]) -> Vec<f64> {
+    lines.iter().filter_map(|line| line.difference_percent).map(f64::abs).collect()
+}
+
+/// The mean of the middle two of an even number of values.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let n = values.len();
+    (n > 0).then(|| (values[(n - 1) / 2] + values[n / 2]) / 2.0)
 }
 
 fn write_csv(lines: &[Line], path: &Path) -> Result<()> {

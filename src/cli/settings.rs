@@ -1,3 +1,5 @@
+use super::conventions::ConventionArguments;
+use super::numbers;
 use crate::settings::{Backend, Merge, Method, Outliers, Settings, Statistic, UnfitFrames};
 use crate::{Error, Result};
 use std::path::PathBuf;
@@ -68,12 +70,14 @@ pub(super) struct SettingsArguments {
     /// Probe in the tracker sensor's frame: position in mm and unit quaternion [default: 0,0,0,0,0,0,1]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = numbers::<7>, allow_hyphen_values = true)]
     calibration: Option<[f64; 7]>,
-    /// In reconstruct and report: refuse a recording with unfit frames, such as a lost sensor's, instead of leaving them out
+    /// Refuse a recording with unfit frames, such as a lost sensor's, instead of leaving them out
     #[arg(long, conflicts_with = "keep")]
     strict: bool,
-    /// In reconstruct and report: use frames whose poses are off the path of the others, instead of leaving them out
+    /// Use frames that seem unfit, instead of leaving them out
     #[arg(long)]
     keep: bool,
+    #[command(flatten)]
+    conventions: ConventionArguments,
 }
 
 impl SettingsArguments {
@@ -122,6 +126,7 @@ impl SettingsArguments {
         if self.keep {
             settings.unfit_frames = UnfitFrames::Keep;
         }
+        settings.conventions = self.conventions.over(settings.conventions);
         settings.validate()?;
         self.check_method(settings.method)?;
         Ok(settings)
@@ -157,13 +162,4 @@ impl SettingsArguments {
             Some((name, _)) => Err(Error::Setting { name, found: found.into(), expected: expected.into() }),
         }
     }
-}
-
-/// N numbers separated by commas.
-fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
-    let parts = text
-        .split(',')
-        .map(|part| part.trim().parse::<f64>().map_err(|_| format!("{part:?} is not a number")))
-        .collect::<Result<Vec<_>, _>>()?;
-    parts.try_into().map_err(|parts: Vec<f64>| format!("found {} numbers, expected {N}", parts.len()))
 }

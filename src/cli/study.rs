@@ -1,8 +1,7 @@
-use super::{print_json, progress};
+use super::{print_json, progress, read_screened};
 use crate::cylinders::fit::engine;
 use crate::evaluate::Truth;
 use crate::output::write_atomically;
-use crate::recording::Recording;
 use crate::report::{Table, study_plot};
 use crate::settings::{Backend, Settings};
 use crate::study::resolution::{Study, StudyGrid, StudyRow, best_within, pareto_front, write};
@@ -80,7 +79,7 @@ impl Arguments {
             let (nodes, levels) = (cell.nodes, cell.levels);
             Settings { nodes, levels, ..settings.clone() }.validate()?;
         }
-        let recording = Recording::read(&self.recording)?;
+        let (recording, _) = read_screened(&self.recording, &settings)?;
         let truth = Truth::new(Surface::read(&self.truth)?)?;
         let study = Study::new(&recording, &truth, &settings)?;
         let mut rows = match &self.output {

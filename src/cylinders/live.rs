@@ -4,6 +4,7 @@ use super::estimate::LocalEstimate;
 use super::fit::{Engine, FitRequest, engine};
 use super::merge::MergedVessel;
 use super::track::Track;
+use crate::geometry::Pose;
 use crate::recording::Frame;
 use crate::settings::{Merge, Settings};
 use crate::{Error, Result};
@@ -19,6 +20,9 @@ pub(crate) struct LiveCylinders {
     settings: Settings,
     engine: Box<dyn Engine>,
     track: Track,
+    /// Frames with a contour, and the last pose.
+    seen: usize,
+    pose: Pose,
     pub vessel: MergedVessel,
 }
 
@@ -48,18 +52,30 @@ impl LiveCylinders {
             settings: settings.clone(),
             engine: engine(settings)?,
             track: Track::new(sensor_from_probe, Box::new(estimator)),
+            seen: 0,
+            pose: Pose::IDENTITY,
             vessel: MergedVessel::default(),
         })
     }
 
-    /// Appends a frame; every `every`-th one adds a cylinder.
-    pub fn push(&mut self, frame: &Frame) -> Result<Step> {
+    /// Appends a frame; every `every`-th one with a contour adds a cylinder. `None` keeps the place of a frame that is left
+    /// out.
+    pub fn push(&mut self, frame: Option<&Frame>) -> Result<Step> {
+        let Some(frame) = frame else {
+            self.track.push(&Frame::new(self.pose, Vec::new()))?;
+            return Ok(Step::default());
+        };
+        self.pose = frame.world_from_sensor;
         self.track.push(frame)?;
         self.track.drop_oldest_near(REST_MM, MAX_FRAMES_AT_REST);
-        let count = self.track.len();
-        if !count.is_multiple_of(self.settings.every as usize) {
+        if frame.echoes_mm().next().is_none() {
             return Ok(Step::default());
         }
+        self.seen += 1;
+        if !self.seen.is_multiple_of(self.settings.every as usize) {
+            return Ok(Step::default());
+        }
+        let count = self.track.len();
         let fitted = self.engine.fit(&FitRequest::new(&self.track, &[count - 1], &self.settings))?.cylinders;
         let mut step = Step::default();
         let mut first = self.vessel.rings.len();

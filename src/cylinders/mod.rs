@@ -24,8 +24,8 @@ pub use tube::Tube;
 
 use crate::engine::EngineDescription;
 use crate::output::write_atomically;
-use crate::recording::Recording;
-use crate::settings::Settings;
+use crate::recording::{LeftOut, Recording};
+use crate::settings::{Settings, UnfitFrames};
 use crate::{Error, Result};
 use merge::MergedVessel;
 use serde::Serialize;
@@ -57,8 +57,8 @@ pub struct CylindersReport {
     pub frames: usize,
     /// Frames whose cylinder was estimated, because the recording has none.
     pub estimated_cylinders: usize,
-    /// Frames whose cylinders were to be merged, but have no contour.
-    pub without_contour: Vec<usize>,
+    /// Frames whose cylinders were to be merged, but have none or no points in its section.
+    pub cylinders_left_out: Vec<LeftOut>,
     /// Cylinders fitted and merged.
     pub cylinders: usize,
     /// Rings of the vessel.
@@ -130,26 +130,35 @@ impl CylinderReconstruction {
         let track = Track::of(recording, settings)?;
         let track_seconds = start.elapsed().as_secs_f64();
 
-        let mut frames = merged_frames(track.len(), settings);
+        // A frame without a contour, such as one that was left out, has no cylinder of its own and does not count.
+        let seen: Vec<usize> =
+            (0..track.len()).filter(|&k| recording.frames[k].echoes_mm().next().is_some()).collect();
+        if seen.is_empty() {
+            return Err(Error::Frame {
+                frame: 0,
+                field: "contours",
+                found: format!("no echo in {} frames", track.len()),
+                expected: "contours along a vessel".into(),
+            });
+        }
+        let frames: Vec<usize> = merged_frames(seen.len(), settings).iter().map(|&k| seen[k]).collect();
         if frames.is_empty() {
             return Err(Error::Setting {
                 name: "every",
                 found: settings.every.to_string(),
-                expected: format!("at most the recording's {} frames", track.len()),
+                expected: format!("at most the recording's {} frames with a contour", seen.len()),
             });
-        }
-        // A frame without a contour, such as one that was left out, has no cylinder of its own.
-        let is_seen = |&k: &usize| recording.frames[k].echoes_mm().next().is_some();
-        let without_contour: Vec<usize> = frames.iter().copied().filter(|k| !is_seen(k)).collect();
-        if without_contour.len() < frames.len() {
-            frames.retain(is_seen);
         }
         let start = Instant::now();
         let ready = AtomicUsize::new(0);
         let tell = |newly| progress(ready.fetch_add(newly, Ordering::Relaxed) + newly, frames.len());
         let request = FitRequest { track: &track, frames: &frames, settings, history, progress: &tell };
-        let Fit { cylinders, engine } = engine.fit(&request)?;
+        let Fit { cylinders, mut left_out, engine } = engine.fit(&request)?;
         let fit_seconds = start.elapsed().as_secs_f64();
+        if let Some(first) = left_out.first().filter(|_| settings.unfit_frames == UnfitFrames::Refuse) {
+            return Err(first.clone().into_error());
+        }
+        left_out.iter_mut().for_each(|one| one.name(recording));
 
         let start = Instant::now();
         let vessel = MergedVessel::of(&cylinders, settings.merge);
@@ -171,7 +180,7 @@ impl CylinderReconstruction {
             threads: rayon::current_num_threads(),
             frames: track.len(),
             estimated_cylinders: track.estimated_count(),
-            without_contour,
+            cylinders_left_out: left_out,
             cylinders: cylinders.len(),
             rings: vessel.rings.len(),
             nodes,

@@ -30,6 +30,21 @@ pub struct LumenSection {
     pub remark: Option<String>,
 }
 
+impl LumenSection {
+    /// A section without numbers.
+    pub fn without(frame: usize, remark: String) -> Self {
+        Self {
+            frame,
+            area_mm2: f64::NAN,
+            perimeter_mm: f64::NAN,
+            least_diameter_mm: f64::NAN,
+            greatest_diameter_mm: f64::NAN,
+            equivalent_diameter_mm: f64::NAN,
+            remark: Some(remark),
+        }
+    }
+}
+
 /// Cuts a mesh by every frame's plane, the xy-plane of the probe `{i}`, and measures the outline about the probe, or
 /// the one nearest to it where none is about it. `sensor_from_probe` is the calibration `eTi`.
 ///

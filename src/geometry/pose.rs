@@ -60,6 +60,12 @@ impl Pose {
         Self { rotation: (0..5).fold(self.rotation, step), ..*self }
     }
 
+    /// The angle of the rotation from this orientation to another, rad, from 0 to π.
+    pub fn turn_rad(&self, other: &Self) -> f64 {
+        let turn = self.rotation.transpose() * other.rotation;
+        ((turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0) / 2.0).clamp(-1.0, 1.0).acos()
+    }
+
     /// Whether all twelve numbers are finite.
     pub fn is_finite(&self) -> bool {
         self.rotation.is_finite() && self.translation_mm.is_finite()

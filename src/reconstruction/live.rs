@@ -23,8 +23,8 @@
 //! ```
 
 use crate::cylinders::live::{LiveCylinders, MAX_FRAMES_AT_REST, REST_MM};
-use crate::recording::Frame;
-use crate::settings::{Backend, Method, Settings};
+use crate::recording::{Frame, Judged, LeftOut, LiveScreening, Reason};
+use crate::settings::{Backend, Method, Settings, UnfitFrames};
 use crate::surface::Surface;
 use crate::sweep::LiveSweep;
 use crate::{Error, Result};
@@ -38,14 +38,27 @@ use std::ops::Range;
 /// [`MAX_FRAMES_AT_REST`](Self::MAX_FRAMES_AT_REST) frames anywhere. With `sweep` it comes near to
 /// [`Sweep::of`](crate::sweep::Sweep::of), which looks at all echoes at once.
 pub struct Live {
-    keep_unsupported: bool,
+    settings: Settings,
     frames: usize,
+    screening: LiveScreening,
     vessel: Vessel,
 }
 
 enum Vessel {
     Cylinders(Box<LiveCylinders>),
     Sweep(Box<LiveSweep>),
+}
+
+impl Vessel {
+    fn new(settings: &Settings) -> Result<Self> {
+        Ok(match settings.method {
+            Method::Cylinders => Vessel::Cylinders(Box::new(LiveCylinders::new(settings)?)),
+            Method::Sweep => {
+                check_sweep(settings)?;
+                Vessel::Sweep(Box::new(LiveSweep::new(settings)))
+            }
+        })
+    }
 }
 
 /// What a frame changed. Rings are numbered along the vessel; ring k has the nodes from k times [`Live::nodes`] on.
@@ -63,8 +76,42 @@ pub struct Change {
     /// Whether the frame lies too far from a swept vessel's axis. Its echoes wait until the axis reaches them; many such
     /// frames mean another branch, or a vessel that was lost.
     pub off_axis: bool,
+    /// Frames that were found unfit now, and why; a [`Screening`](crate::recording::Screening) says what for. Also frames of the
+    /// published method whose cylinder was due and could not be fitted.
+    pub left_out: Vec<LeftOut>,
+    /// Frames that jump off the path of the others and wait: later frames will tell whether the sensor was moved.
+    pub waiting: usize,
+    /// Whether the vessel began anew, because what was shown before came from frames that are left out now. All rings are new.
+    pub restarted: bool,
     /// What it took.
     pub work: Work,
+}
+
+impl Change {
+    /// Adds what another frame changed after this.
+    fn add(&mut self, before: usize, changed: Vec<Range<usize>>, off_axis: bool, work: Work) {
+        self.before += before;
+        self.changed.iter_mut().for_each(|range| *range = range.start + before..range.end + before);
+        self.changed.extend(changed);
+        self.off_axis |= off_axis;
+        self.work.echoes += work.echoes;
+        self.work.rings += work.rings;
+    }
+
+    /// Brings the ranges of changed rings in order, apart from each other.
+    fn tidy(&mut self, rings: usize) {
+        let mut ranges = std::mem::take(&mut self.changed);
+        ranges.sort_by_key(|range| range.start);
+        for range in ranges {
+            let range = range.start.min(rings)..range.end.min(rings);
+            match self.changed.last_mut() {
+                Some(last) if range.start <= last.end => last.end = last.end.max(range.end),
+                _ if range.is_empty() => {}
+                _ => self.changed.push(range),
+            }
+        }
+        self.rings = rings;
+    }
 }
 
 /// How much was computed for a frame. It has an upper bound, whatever the length of the recording.
@@ -91,38 +138,72 @@ impl Live {
     /// blended cylinders, a sweep's corrections of the tracker, or its fit on a device.
     pub fn new(settings: &Settings) -> Result<Self> {
         settings.validate()?;
-        let vessel = match settings.method {
-            Method::Cylinders => Vessel::Cylinders(Box::new(LiveCylinders::new(settings)?)),
-            Method::Sweep => {
-                check_sweep(settings)?;
-                Vessel::Sweep(Box::new(LiveSweep::new(settings)))
-            }
-        };
-        Ok(Self { keep_unsupported: settings.sweep.keep_unsupported, frames: 0, vessel })
+        let vessel = Vessel::new(settings)?;
+        Ok(Self { settings: settings.clone(), frames: 0, screening: LiveScreening::default(), vessel })
     }
 
-    /// Takes the next frame and brings the mesh up to date.
+    /// Takes the next frame and brings the mesh up to date. What is done with an unfit frame, the settings say.
     ///
     /// # Errors
-    /// [`Error::Frame`] where [`Frame::check`] refuses it: all is then as before. Also where a
-    /// cylinder was due and cannot be fitted: the frame then counts, the vessel is as before.
+    /// [`Error::Frame`] where the frame is unfit and the settings refuse it, or it has a [defect](Frame::defects) and they
+    /// keep unfit frames: the vessel is then as before. Also where the device fails.
     pub fn push(&mut self, frame: &Frame) -> Result<Change> {
-        frame.check(self.frames)?;
         let number = self.frames;
-        self.frames += 1;
-        let (before, changed, off_axis, work) = match &mut self.vessel {
-            Vessel::Cylinders(cylinders) => {
-                let step = cylinders.push(frame)?;
-                let work = Work { echoes: step.echoes, rings: step.rings };
-                (0, step.changed, false, work)
+        let frame = self.settings.conventions.apply_to(frame);
+        let judged = match self.settings.unfit_frames {
+            UnfitFrames::Keep => {
+                frame.check(number)?;
+                Judged { frames: vec![(number, Some(frame))], ..Judged::default() }
             }
-            Vessel::Sweep(sweep) => {
-                let step = sweep.push(frame)?;
-                let work = Work { echoes: step.echoes, rings: step.rings };
-                (step.before, step.changed, step.off_axis, work)
-            }
+            _ => self.screening.push(&frame),
         };
-        Ok(Change { frame: number, before, changed, rings: self.rings(), off_axis, work })
+        self.frames += 1;
+        self.take(number, judged)
+    }
+
+    /// Ends the waiting for frames that jump off the path of the others: they are left out. After the last frame.
+    ///
+    /// # Errors
+    /// As [`push`](Self::push).
+    pub fn flush(&mut self) -> Result<Change> {
+        let judged = self.screening.flush();
+        self.take(self.frames.saturating_sub(1), judged)
+    }
+
+    fn take(&mut self, number: usize, judged: Judged) -> Result<Change> {
+        let Judged { restart, frames, left_out } = judged;
+        let mut change = Change { frame: number, restarted: restart, left_out, ..Change::default() };
+        if restart {
+            self.vessel = Vessel::new(&self.settings)?;
+        }
+        for (number, frame) in frames {
+            match &mut self.vessel {
+                Vessel::Cylinders(cylinders) => match cylinders.push(frame.as_ref()) {
+                    Ok(step) => {
+                        let work = Work { echoes: step.echoes, rings: step.rings };
+                        change.add(0, step.changed, false, work);
+                    }
+                    Err(error) => change.left_out.push(LeftOut::because(error, Reason::NoCylinder)?),
+                },
+                Vessel::Sweep(sweep) => {
+                    let Some(frame) = &frame else { continue };
+                    let step = sweep.push(number, frame)?;
+                    let work = Work { echoes: step.echoes, rings: step.rings };
+                    change.add(step.before, step.changed, step.off_axis, work);
+                }
+            }
+        }
+        if restart {
+            change.before = 0;
+            change.changed = std::iter::once(0..self.rings()).collect();
+        }
+        change.tidy(self.rings());
+        change.waiting = self.screening.waiting();
+        let unfit = change.left_out.iter().find(|one| one.reason.is_unfit());
+        match unfit.filter(|_| self.settings.unfit_frames == UnfitFrames::Refuse) {
+            Some(unfit) => Err(unfit.clone().into_error()),
+            None => Ok(change),
+        }
     }
 
     /// Frames taken.
@@ -154,7 +235,7 @@ impl Live {
     pub fn surface(&self) -> Surface {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => cylinders.vessel.surface(),
-            Vessel::Sweep(sweep) => sweep.surface(0..sweep.rings(), self.keep_unsupported),
+            Vessel::Sweep(sweep) => sweep.surface(0..sweep.rings(), self.settings.sweep.keep_unsupported),
         }
     }
 

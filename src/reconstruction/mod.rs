@@ -6,12 +6,12 @@ mod live;
 
 pub use live::{Change, Live, Work};
 
-use crate::Result;
 use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, engine};
-use crate::recording::{Recording, Screening};
-use crate::settings::{Method, Settings, UnfitFrames};
+use crate::recording::{Recording, Screened, Screening};
+use crate::settings::{Method, Settings};
 use crate::surface::Surface;
 use crate::sweep::{Sweep, SweepReport};
+use crate::{Error, Result};
 use serde::Serialize;
 use std::sync::OnceLock;
 
@@ -77,30 +77,28 @@ impl<'a> Reconstructor<'a> {
     /// [`Screening::MAX_SHARE`] or any where the settings refuse them, or the contours cover no length of a vessel.
     pub fn run(&self, recording: &Recording) -> Result<Lumen> {
         self.settings.validate()?;
-        let screening = match self.settings.unfit_frames {
-            UnfitFrames::Keep => Screening::none(recording),
-            _ => Screening::of(recording),
+        let Screened { recording, screening } =
+            Screened::of(recording, &self.settings.conventions, self.settings.unfit_frames)?;
+        let recording = &*recording;
+        let named = |error: Error| match error {
+            Error::Frame { frame, field, found, expected } => {
+                Error::Frame { frame: recording.number(frame), field, found, expected }
+            }
+            other => other,
         };
-        if self.settings.unfit_frames == UnfitFrames::Refuse {
-            screening.refuse()?;
-        }
-        let recording = &*screening.apply(recording)?;
         let vessel = match self.settings.method {
             Method::Cylinders => {
                 let tell =
                     |done, total| (self.on_progress)(Progress { stage: "fitting cylinders", done, total });
                 let engine = self.engine()?;
-                Vessel::Cylinders(CylinderReconstruction::run(
-                    recording,
-                    &self.settings,
-                    engine,
-                    self.history,
-                    &tell,
-                )?)
+                Vessel::Cylinders(
+                    CylinderReconstruction::run(recording, &self.settings, engine, self.history, &tell)
+                        .map_err(named)?,
+                )
             }
             Method::Sweep => {
                 let tell = |stage, done, total| (self.on_progress)(Progress { stage, done, total });
-                Vessel::Sweep(Sweep::run(recording, &self.settings, &tell)?)
+                Vessel::Sweep(Sweep::run(recording, &self.settings, &tell).map_err(named)?)
             }
         };
         Ok(Lumen { settings: self.settings.clone(), screening, vessel })

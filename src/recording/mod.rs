@@ -1,18 +1,23 @@
 //! Recordings: frames with their poses and contours, and their file formats.
 
+mod conventions;
 mod cylinder;
 pub(crate) mod echo_error;
+mod finding;
 mod formats;
 mod pullback;
 mod screening;
 mod summary;
 
+pub use conventions::{Conventions, LengthUnit, QuaternionOrder, TimeUnit};
 pub use cylinder::CylinderModel;
 pub(crate) use cylinder::MAX_RADIUS_MM;
+pub use finding::{Example, Finding};
 pub(crate) use formats::Table;
 pub use pullback::{Pullback, PullbackPath};
-pub use screening::{LeftOut, Screening};
-pub use summary::{Defects, Example, MinMedianMax, Summary};
+pub(crate) use screening::{Judged, LiveScreening};
+pub use screening::{LeftOut, NoEcho, Reason, Screened, Screening, UnfitFrames};
+pub use summary::{MinMedianMax, Summary};
 
 use crate::geometry::{Pose, polygon};
 use crate::output::ending;

@@ -1,3 +1,5 @@
+use super::finding::{Finding, Findings};
+use super::screening::{NoEcho, Reason, Screening};
 use super::{Frame, Recording};
 use serde::Serialize;
 use std::fmt;
@@ -36,8 +38,12 @@ pub struct Summary {
     pub cylinders: usize,
     /// Radius of the cylinder models, mm.
     pub cylinder_radius_mm: Option<MinMedianMax>,
-    /// Defects, one entry per kind.
-    pub defects: Vec<Defects>,
+    /// Frames that a reconstruction leaves out.
+    pub left_out: usize,
+    /// Values of contour points that a reconstruction takes for missing echoes.
+    pub no_echo: Vec<NoEcho>,
+    /// Defects and what is suspicious, one entry per kind.
+    pub defects: Vec<Finding>,
 }
 
 /// Smallest, middle and largest of some numbers.
@@ -52,109 +58,41 @@ pub struct MinMedianMax {
     pub max: f64,
 }
 
-/// Frames with one kind of defect.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct Defects {
-    /// The quantity.
-    pub field: &'static str,
-    /// What it should be.
-    pub expected: String,
-    /// Whether [`Recording::check`] refuses it; else it is suspicious only.
-    pub fatal: bool,
-    /// How many frames have it; 0 where it is about the recording as a whole.
-    pub frames: usize,
-    /// The first of them, at most [`Summary::MAX_EXAMPLES`], or the recording's one.
-    pub examples: Vec<Example>,
-}
-
-/// One occurrence of a defect.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct Example {
-    /// The frame (0-based); `None`: the recording as a whole.
-    pub frame: Option<usize>,
-    /// What was there.
-    pub found: String,
-}
-
 impl Summary {
-    /// Frames listed per kind of defect.
-    pub const MAX_EXAMPLES: usize = 10;
-    /// No step is a jump below this, mm.
-    pub const MIN_JUMP_MM: f64 = 5.0;
-    /// No turn is a jump below this, rad.
-    pub const MIN_JUMP_RAD: f64 = 0.35;
-    /// A step or turn is a jump above this multiple of the median one.
-    pub const JUMP_FACTOR: f64 = 10.0;
-
     /// Summarises a recording.
     pub fn of(recording: &Recording) -> Self {
         let frames = &recording.frames;
-        let mut list = DefectList(Vec::new());
+        let screening = Screening::of(recording);
+        let mut findings = Findings::new(frames.len());
+        if frames.is_empty() {
+            findings.add_whole("frames", "at least 1", true, "0 frames".into(), None);
+        }
         for (k, frame) in frames.iter().enumerate() {
             for defect in frame.defects() {
-                list.add(defect.field, defect.expected.into(), true, Some(k), defect.found);
+                findings.add(defect.field, defect.expected.into(), true, k, defect.found);
             }
         }
-        for (k, frame) in frames.iter().enumerate() {
-            let (points, missing) = (frame.echoes_mm().count(), frame.missing_echoes());
-            if points < MIN_POINTS {
-                let found = format!("{points} ({missing} missing echoes)");
-                list.add("wall points", format!("at least {MIN_POINTS}"), false, Some(k), found);
-            }
+        for one in screening.left_out.iter().filter(|one| one.reason != Reason::Defect) {
+            findings.add(one.field, one.expected.clone(), false, one.place, one.found.clone());
         }
-        if frames.is_empty() {
-            list.add("frames", "at least 1".into(), true, None, "0 frames".into());
-        }
+        let mut defects = findings.named(recording);
+        defects.extend(screening.suspicions);
 
         let steps = between(frames, |a, b| {
             a.world_from_sensor.translation_mm.distance(b.world_from_sensor.translation_mm)
         });
-        let turns = between(frames, |a, b| {
-            let turn = a.world_from_sensor.rotation.transpose() * b.world_from_sensor.rotation;
-            ((turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0) / 2.0).clamp(-1.0, 1.0).acos()
-        });
-        let (step_mm, turn_rad) = (of_steps(&steps), of_steps(&turns));
-        let jump = |least: f64, spread: Option<MinMedianMax>| {
-            spread.map_or(least, |s| least.max(Self::JUMP_FACTOR * s.median))
-        };
-        let max_mm = jump(Self::MIN_JUMP_MM, step_mm);
-        for &(k, step) in steps.iter().filter(|s| s.1 > max_mm) {
-            let expected = format!("steps of at most {max_mm:.2} mm");
-            list.add("position jump", expected, false, Some(k), format!("{step:.2} mm"));
-        }
-        let max_rad = jump(Self::MIN_JUMP_RAD, turn_rad);
-        for &(k, turn) in turns.iter().filter(|t| t.1 > max_rad) {
-            let expected = format!("turns of at most {:.1} degrees", max_rad.to_degrees());
-            list.add("rotation jump", expected, false, Some(k), format!("{:.1} degrees", turn.to_degrees()));
-        }
-
-        let times: Vec<(usize, f64)> =
-            frames.iter().enumerate().filter_map(|(k, f)| Some((k, f.time_s?))).collect();
-        let mut intervals = Vec::new();
-        for pair in times.windows(2) {
-            let &[(j, earlier), (k, later)] = pair else { continue };
-            if later <= earlier {
-                let found = format!("{later} s after {earlier} s");
-                list.add("time", "times that rise".into(), false, Some(k), found);
-            }
-            intervals.push((later - earlier) / (k - j) as f64);
-        }
+        let turns = between(frames, |a, b| a.world_from_sensor.turn_rad(&b.world_from_sensor));
+        let times: Vec<(usize, f64)> = frames
+            .iter()
+            .enumerate()
+            .filter_map(|(k, f)| Some((k, f.time_s.filter(|t| t.is_finite())?)))
+            .collect();
+        let intervals = times.windows(2).map(|pair| (pair[1].1 - pair[0].1) / (pair[1].0 - pair[0].0) as f64);
         let interval_s = min_median_max(intervals).map(|s| s.median);
-
         let contour_radius_mm = min_median_max(frames.iter().flat_map(|f| {
             let centre = f.centroid_mm();
             f.echoes_mm().filter_map(move |p| Some(p.distance(centre?)))
         }));
-        if let Some(MinMedianMax { median, .. }) = contour_radius_mm
-            && !LUMEN_RADII_MM.contains(&median)
-        {
-            let guess = if median < LUMEN_RADII_MM.start { "metres" } else { "micrometres or pixels" };
-            let found = format!("median {median:.4} mm: are the lengths {guess}?");
-            let expected = format!("{} to {} mm", LUMEN_RADII_MM.start, LUMEN_RADII_MM.end);
-            list.add("contour radius", expected, false, None, found);
-        }
 
         Self {
             frames: frames.len(),
@@ -163,67 +101,37 @@ impl Summary {
             rays: min_median_max(frames.iter().map(|f| f.contour_mm.len() as f64)),
             points: frames.iter().map(|f| f.echoes_mm().count()).sum(),
             missing_echoes: frames.iter().map(Frame::missing_echoes).sum(),
-            path_length_mm: steps.iter().map(|s| s.1).sum(),
-            step_mm,
-            turn_rad,
+            path_length_mm: steps.iter().sum::<f64>() + 0.0,
+            step_mm: min_median_max(steps.iter().copied()),
+            turn_rad: min_median_max(turns),
             rounded_rotations: frames.iter().filter(|f| f.rotation_error.is_some()).count(),
             contour_radius_mm,
             cylinders: frames.iter().filter(|f| f.cylinder.is_some()).count(),
             cylinder_radius_mm: min_median_max(
                 frames.iter().filter_map(|f| Some(f.cylinder.as_ref()?.radius_mm)),
             ),
-            defects: list.0,
+            defects,
+            left_out: screening.left_out.len(),
+            no_echo: screening.no_echo,
         }
     }
 }
 
-/// Wall points that enclose an area: with fewer no cylinder can be estimated. A frame with a model may have fewer,
-/// because its cylinder uses earlier frames too, so that this is only suspicious.
-const MIN_POINTS: usize = 3;
-
-/// Median contour radii that a vessel may have, mm: below lies a vessel in metres, above one in micrometres.
-const LUMEN_RADII_MM: std::ops::Range<f64> = 0.2..100.0;
-
-/// A quantity of each two consecutive frames with finite poses, with the second one's number.
-fn between(frames: &[Frame], of: impl Fn(&Frame, &Frame) -> f64) -> Vec<(usize, f64)> {
-    let pairs = frames.iter().zip(frames.iter().skip(1)).enumerate();
-    pairs.map(|(k, (a, b))| (k + 1, of(a, b))).filter(|(_, value)| value.is_finite()).collect()
+/// A quantity of each two consecutive frames with finite poses.
+fn between(frames: &[Frame], of: impl Fn(&Frame, &Frame) -> f64) -> Vec<f64> {
+    frames
+        .iter()
+        .zip(frames.iter().skip(1))
+        .map(|(a, b)| of(a, b))
+        .filter(|value| value.is_finite())
+        .collect()
 }
 
-fn of_steps(steps: &[(usize, f64)]) -> Option<MinMedianMax> {
-    min_median_max(steps.iter().map(|s| s.1))
-}
-
-fn min_median_max(numbers: impl IntoIterator<Item = f64>) -> Option<MinMedianMax> {
+pub(super) fn min_median_max(numbers: impl IntoIterator<Item = f64>) -> Option<MinMedianMax> {
     let mut sorted: Vec<f64> = numbers.into_iter().filter(|x| x.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     let median = *sorted.get(sorted.len() / 2)?;
     Some(MinMedianMax { min: *sorted.first()?, median, max: *sorted.last()? })
-}
-
-struct DefectList(Vec<Defects>);
-
-impl DefectList {
-    fn add(
-        &mut self,
-        field: &'static str,
-        expected: String,
-        fatal: bool,
-        frame: Option<usize>,
-        found: String,
-    ) {
-        let at =
-            self.0.iter().position(|d| d.field == field && d.expected == expected).unwrap_or_else(|| {
-                self.0.push(Defects { field, expected, fatal, frames: 0, examples: Vec::new() });
-                self.0.len() - 1
-            });
-        if let Some(defects) = self.0.get_mut(at) {
-            defects.frames += usize::from(frame.is_some());
-            if defects.examples.len() < Summary::MAX_EXAMPLES {
-                defects.examples.push(Example { frame, found });
-            }
-        }
-    }
 }
 
 impl fmt::Display for MinMedianMax {
@@ -269,26 +177,16 @@ impl fmt::Display for Summary {
             write!(f, ", radius {radius:.3} mm")?;
         }
         writeln!(f)?;
+        for no_echo in &self.no_echo {
+            writeln!(f, "no echo         {no_echo}")?;
+        }
+        if self.left_out > 0 {
+            writeln!(f, "left out        {} frames, by a reconstruction", self.left_out)?;
+        }
         if self.defects.is_empty() {
             return writeln!(f, "defects         none");
         }
-        for defects in &self.defects {
-            let kind = if defects.fatal { "DEFECT" } else { "SUSPICIOUS" };
-            write!(f, "{kind}: {}", defects.field)?;
-            if defects.frames > 0 {
-                write!(f, " in {} of {} frames", defects.frames, self.frames)?;
-            }
-            writeln!(f, ", expected {}", defects.expected)?;
-            for example in &defects.examples {
-                match example.frame {
-                    Some(k) => writeln!(f, "  frame {k}: {}", example.found)?,
-                    None => writeln!(f, "  {}", example.found)?,
-                }
-            }
-            if defects.frames > defects.examples.len() {
-                writeln!(f, "  and {} more", defects.frames - defects.examples.len())?;
-            }
-        }
+        self.defects.iter().try_for_each(|finding| write!(f, "{finding}"))?;
         Ok(())
     }
 }

@@ -8,7 +8,7 @@ use super::{cylinders, sweep};
 use crate::Result;
 use crate::evaluate::{self, Evaluation, Truth};
 use crate::reconstruction::{Lumen, LumenReport};
-use crate::recording::{MinMedianMax, Recording, Summary};
+use crate::recording::{LeftOut, MinMedianMax, Recording, Summary};
 
 /// The content of a page.
 #[non_exhaustive]
@@ -115,7 +115,8 @@ pub fn html(content: &PageContent) -> Result<String> {
 }
 
 fn summary(page: &mut Page, content: &PageContent) {
-    let recorded = Summary::of(content.recording);
+    let screening = content.lumen.screening();
+    let recorded = Summary::of(&content.lumen.settings().conventions.apply(content.recording));
     let middle = |spread: Option<MinMedianMax>, decimals: usize| {
         spread.map_or_else(|| "unknown".into(), |s| format!("{:.decimals$}", s.median))
     };
@@ -138,13 +139,50 @@ fn summary(page: &mut Page, content: &PageContent) {
         LumenReport::Sweep(report) => sweep::summary_rows(report),
     });
     page.table(&facts(rows));
-    for defect in recorded.defects.iter().filter(|d| d.frames > 0) {
+    if !screening.left_out.is_empty() {
+        page.heading("Frames left out");
         page.paragraph(&format!(
-            "{} frames with an odd {}; expected {}.",
-            defect.frames, defect.field, defect.expected
+            "{} of {} frames were not used: nothing of the vessel here comes from them.",
+            screening.left_out.len(),
+            screening.frames
         ));
+        page.table(&left_out_table(&screening.left_out));
+    }
+    if !screening.suspicions.is_empty() || !screening.no_echo.is_empty() {
+        page.heading("Suspicious");
+        for no_echo in &screening.no_echo {
+            page.paragraph(&format!("{no_echo}."));
+        }
+        for finding in &screening.suspicions {
+            page.listing(&finding.to_string());
+        }
     }
 }
+
+/// Runs of frames that are left out for the same reason.
+fn left_out_table(left_out: &[LeftOut]) -> Table {
+    let runs: Vec<&[LeftOut]> = left_out
+        .chunk_by(|a, b| a.frame + 1 == b.frame && a.reason == b.reason && a.field == b.field)
+        .collect();
+    let row = |run: &&[LeftOut]| {
+        let (first, last) = (&run[0], &run[run.len() - 1]);
+        let frames = match first.frame == last.frame {
+            true => first.frame.to_string(),
+            false => format!("{} to {}", first.frame, last.frame),
+        };
+        vec![frames, first.field.into(), first.found.clone(), first.expected.clone()]
+    };
+    let more = runs.len().saturating_sub(MAX_ROWS);
+    Table {
+        head: ["frames", "quantity", "found", "expected"].map(String::from).to_vec(),
+        rows: runs.iter().take(MAX_ROWS).map(row).collect(),
+        note: if more > 0 { format!("And {more} more runs of frames.") } else { String::new() },
+        ..Table::default()
+    }
+}
+
+/// Runs of frames that the page lists.
+const MAX_ROWS: usize = 50;
 
 fn error_table(evaluation: &Evaluation) -> Table {
     let back = evaluation.truth_to_mesh.as_ref();

@@ -4,7 +4,7 @@ use super::centreline::Centreline;
 use super::vessel::SimulatedVessel;
 use super::within;
 use crate::geometry::Pose;
-use crate::settings::setters;
+use crate::setters::setters;
 use crate::{Error, Result};
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};

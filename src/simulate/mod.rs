@@ -33,7 +33,7 @@ pub use vessel::SimulatedVessel;
 use crate::geometry::Pose;
 use crate::recording::CylinderModel;
 use crate::recording::{Frame, Recording};
-use crate::settings::setters;
+use crate::setters::setters;
 use crate::{Error, Result};
 use glam::{DVec2, DVec3};
 use noise::FrameNoise;

@@ -3,7 +3,7 @@
 use super::within;
 use crate::Result;
 use crate::geometry::Pose;
-use crate::settings::setters;
+use crate::setters::setters;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;

@@ -4,7 +4,7 @@ use super::branching::{self, Limb};
 use super::centreline::Centreline;
 use super::vessel::SimulatedVessel;
 use super::within;
-use crate::settings::setters;
+use crate::setters::setters;
 use crate::surface::Surface;
 use crate::{Error, Result};
 use glam::{DMat3, DQuat, DVec2, DVec3};

@@ -3,7 +3,7 @@
 use super::vessel::SimulatedVessel;
 use super::within;
 use crate::geometry::Pose;
-use crate::settings::setters;
+use crate::setters::setters;
 use crate::{Error, Result};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};

@@ -111,7 +111,7 @@ impl SweepReport {
             engine: engine.clone(),
             threads: rayon::current_num_threads(),
             frames: frames.len(),
-            folded_frames: prepared.folded_frames.clone(),
+            folded_frames: prepared.folded_frames.iter().map(|&k| frames[k].number.unwrap_or(k)).collect(),
             echoes: frames.iter().map(|frame| frame.echoes_mm().count()).sum(),
             missing: frames.iter().map(Frame::missing_echoes).sum(),
             beyond_ends: prepared.echo_count() - echoes.len(),

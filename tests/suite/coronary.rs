@@ -206,7 +206,10 @@ fn the_commands_of_the_guide_work() {
     let measure = ["sections", "vessel.vtp", "pullback.mat"];
     let against = ["--against", &by_hand, "--numbers", &contours];
     let said = run(&[&measure[..], &against, &["--csv", "sections.csv"]].concat());
-    assert!(said.ends_with("over 20 of 20 frames\n"), "{said}");
+    assert!(
+        said.ends_with("over 20 frames with an area, of 20 with a value in the table and 20 in all\n"),
+        "{said}"
+    );
     let csv = std::fs::read_to_string(folder.path().join("sections.csv")).unwrap();
     assert!(csv.starts_with("frame,area_mm2,perimeter_mm,least_diameter_mm,"), "{csv}");
     assert_eq!(csv.lines().count(), 21);

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Modules from the bottom to the top; the longest prefix of a path decides.
-const ORDER: [&str; 32] = [
+const ORDER: [&str; 33] = [
+    "setters",
     "numerics",
     "geometry",
     "gpu",

@@ -8,7 +8,7 @@ use lumenmesh::cylinders::engine;
 use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::reconstruction::{Live, Work};
 use lumenmesh::recording::{Frame, Recording};
-use lumenmesh::settings::{Method, Settings, SweepSettings};
+use lumenmesh::settings::{Method, Settings, SweepSettings, UnfitFrames};
 use lumenmesh::simulate::{self, Insertion, Move, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
@@ -185,6 +185,7 @@ fn a_catheter_at_rest_costs_no_more_as_time_goes_by() {
 fn a_refused_frame_leaves_everything_as_it_was() {
     let recording = simulated("cylinder", Insertion::steady(), 6).recording;
     for settings in [cylinders(), sweep()] {
+        let settings = settings.with_unfit_frames(UnfitFrames::Keep);
         let (mut live, plain) = (Live::new(&settings).unwrap(), pushed(&recording.frames, &settings));
         for (k, frame) in recording.frames.iter().enumerate() {
             if k % 50 == 20 {

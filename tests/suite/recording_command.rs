@@ -66,7 +66,7 @@ fn a_summary_names_every_frame_with_a_defect() {
         ("rotation", vec![7]),
         ("position", vec![9]),
         ("contour", vec![50]),
-        ("position jump", vec![20, 21]),
+        ("pose", vec![20]),
         ("time", vec![40]),
     ] {
         assert!(found.contains(&(field, frames.clone())), "{field} {frames:?}: {said}");
@@ -80,7 +80,9 @@ fn a_summary_names_every_frame_with_a_defect() {
         "{said}"
     );
     assert!(
-        said.contains("SUSPICIOUS: position jump in 2 of 60 frames, expected steps of at most 5.00 mm"),
+        said.contains("SUSPICIOUS: pose in 1 of 60 frames, expected steps of at most 5.0 mm")
+            && said.contains("frame 20: 7.0 mm off the path")
+            && said.contains("left out        6 frames"),
         "{said}"
     );
 }
@@ -115,7 +117,10 @@ fn metres_are_noticed() {
     recording.frames.iter_mut().flat_map(|f| &mut f.contour_mm).for_each(|p| *p /= 1000.0);
     let said = Summary::of(&recording).to_string();
     assert!(said.contains("contour radius, expected 0.2 to 100 mm"), "{said}");
-    assert!(said.contains("median 0.0050 mm: are the lengths metres?"), "{said}");
+    assert!(
+        said.contains("median 0.0050 mm: are the contours in metres?\n  if so: --contour-units m"),
+        "{said}"
+    );
 }
 
 #[test]

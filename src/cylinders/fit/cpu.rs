@@ -42,18 +42,22 @@ impl<T> Sealed for CpuEngine<T> {}
 
 impl<T: Scalar> Engine for CpuEngine<T> {
     fn fit(&self, request: &FitRequest) -> Result<Fit> {
-        let cylinders = request
+        let fit = |&frame: &usize| {
+            let cylinder = request.track.cylinder(frame)?;
+            let section = request.track.section::<T>(frame, request.settings)?;
+            let tube = deform(&section, cylinder.radius_mm, request.settings, request.history);
+            Ok(FittedCylinder { frame, world_from_cylinder: cylinder.world_from_cylinder, tube })
+        };
+        let fitted: Vec<Result<FittedCylinder>> = request
             .frames
             .par_iter()
-            .map(|&frame| {
-                let cylinder = request.track.cylinder(frame)?;
-                let section = request.track.section::<T>(frame, request.settings)?;
-                let tube = deform(&section, cylinder.radius_mm, request.settings, request.history);
+            .map(|frame| {
+                let fitted = fit(frame);
                 (request.progress)(1);
-                Ok(FittedCylinder { frame, world_from_cylinder: cylinder.world_from_cylinder, tube })
+                fitted
             })
-            .collect::<Result<_>>()?;
-        Ok(Fit { cylinders, engine: self.describe() })
+            .collect();
+        Fit::of(fitted, self.describe())
     }
 
     fn fit_section(&self, section: &Section<f32>, radius_mm: f64, settings: &Settings) -> Result<SectionFit> {

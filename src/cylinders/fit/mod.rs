@@ -19,6 +19,7 @@ use super::track::Track;
 use super::tube::Tube;
 use crate::engine::EngineDescription;
 use crate::geometry::Pose;
+use crate::recording::{LeftOut, Reason};
 #[cfg(not(feature = "gpu"))]
 use crate::settings::no_gpu_engine;
 use crate::settings::{Backend, Settings};
@@ -110,10 +111,11 @@ mod sealed {
 
 /// Fits cylinders. The engines are [`CpuEngine`], [`AutoEngine`] and, in builds with the feature `gpu`, `GpuEngine`.
 pub trait Engine: sealed::Sealed + Send + Sync {
-    /// Fits the cylinders of a request, in the order of its frames.
+    /// Fits the cylinders of a request, in the order of its frames. Frames without a cylinder or without points in its
+    /// section are left out.
     ///
     /// # Errors
-    /// Where a frame has no cylinder or no points in its section, and where the engine itself fails.
+    /// Where all frames are left out, and where the engine itself fails.
     fn fit(&self, request: &FitRequest) -> Result<Fit>;
 
     /// Fits one tube of that radius to points that already are in its coordinates and within its gate.
@@ -129,8 +131,33 @@ pub trait Engine: sealed::Sealed + Send + Sync {
 pub struct Fit {
     /// The cylinders, in the order of the request's frames.
     pub cylinders: Vec<FittedCylinder>,
+    /// The frames without one, and why.
+    pub left_out: Vec<LeftOut>,
     /// The engine that fitted them, and why this one where it was chosen.
     pub engine: EngineDescription,
+}
+
+impl Fit {
+    /// Sorts the frames' cylinders from the reasons why there is none.
+    ///
+    /// # Errors
+    /// The first error that is not about a frame; where no frame has a cylinder, the first reason.
+    fn of(
+        fitted: impl IntoIterator<Item = Result<FittedCylinder>>,
+        engine: EngineDescription,
+    ) -> Result<Self> {
+        let (mut cylinders, mut left_out) = (Vec::new(), Vec::new());
+        for fitted in fitted {
+            match fitted {
+                Ok(cylinder) => cylinders.push(cylinder),
+                Err(error) => left_out.push(LeftOut::because(error, Reason::NoCylinder)?),
+            }
+        }
+        match left_out.first() {
+            Some(first) if cylinders.is_empty() => Err(first.clone().into_error()),
+            _ => Ok(Self { cylinders, left_out, engine }),
+        }
+    }
 }
 
 /// The tube of a section.

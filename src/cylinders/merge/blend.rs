@@ -144,7 +144,10 @@ impl Blend {
     /// `support` of a node is the mean number of points that support it in the cylinders, at least 1. Nodes without a
     /// contribution have 0 and lie on the circle that fits the others best.
     pub fn vessel(&self) -> MergedVessel {
-        MergedVessel { rings: self.stations.iter().filter_map(Station::ring).collect() }
+        MergedVessel {
+            rings: self.stations.iter().filter_map(Station::ring).collect(),
+            ..MergedVessel::default()
+        }
     }
 }
 

@@ -32,6 +32,8 @@ pub struct VesselRing {
 pub struct MergedVessel {
     /// The rings, in the order of the vessel.
     pub rings: Vec<VesselRing>,
+    /// How the probe has moved, where the cylinders are stitched.
+    travel: stitch::Travel,
 }
 
 impl MergedVessel {

@@ -10,7 +10,7 @@
 mod canvas;
 mod scale;
 
-use crate::settings::setters;
+use crate::setters::setters;
 use crate::surface::Surface;
 use crate::{Error, Result, output};
 use canvas::{Canvas, Colour, Sheet};

@@ -61,13 +61,13 @@ impl LiveSweep {
         }
     }
 
-    /// Adds a frame that passes [`Frame::check`].
-    pub fn push(&mut self, frame: &Frame) -> Result<Step> {
+    /// Adds a frame that passes [`Frame::check`]; its number is higher than those before.
+    pub fn push(&mut self, number: usize, frame: &Frame) -> Result<Step> {
         let after = self.clock_s + if self.frames == 0 { 0.0 } else { FRAME_INTERVAL_S };
         self.clock_s = frame.time_s.unwrap_or(after);
         let world_from_probe = frame.world_from_sensor * self.sensor_from_probe;
         let mut placed = PlacedFrame {
-            number: self.frames as u32,
+            number: number as u32,
             time_s: self.clock_s,
             world_from_probe,
             frame: frame.clone(),

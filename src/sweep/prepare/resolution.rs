@@ -38,7 +38,8 @@ pub(in crate::sweep) fn resolution(
             };
             // Triangles that deviate from the wall by less than the noise need not be smaller.
             let wanted = TAU * radius_mm * CELL_NOISE * settings.sweep.roughness / noise_mm;
-            let rays = median(&mut contours_mm.iter().map(|c| c.len() as f64).collect::<Vec<_>>());
+            let used = contours_mm.iter().filter(|contour_mm| !contour_mm.is_empty());
+            let rays = median(&mut used.map(|contour_mm| contour_mm.len() as f64).collect::<Vec<_>>());
             let min = nodes(*ECHOES_PER_NODE.end()).min(rays);
             let max = nodes(*ECHOES_PER_NODE.start()).min(2.0 * rays);
             (wanted.min(max).max(min) as usize & !1).clamp(*NODES_PER_RING.start(), *NODES_PER_RING.end())

@@ -17,12 +17,12 @@ use super::sealed::Sealed;
 use super::{
     DeformedTube, Engine, EngineDescription, Fit, FitRequest, FittedCylinder, SectionFit, check_section,
 };
-use crate::Result;
 use crate::cylinders::passes::{DeviceCylinder, DevicePair, Section};
-use crate::cylinders::track::empty_section;
+use crate::cylinders::track::{NearFrame, empty_section};
 use crate::cylinders::tube::Tube;
 use crate::gpu::{AdapterDescription, Context, GpuError, Runner, Timer};
 use crate::settings::Settings;
+use crate::{Error, Result};
 use rayon::prelude::*;
 use std::ops::Range;
 use workspace::Points;
@@ -160,7 +160,12 @@ impl GpuEngine {
     /// the device.
     pub fn prepare_request(&self, request: &FitRequest) -> Result<Vec<FitWorkspace>> {
         request.settings.validate()?;
-        self.batches(request)?.iter().map(|batch| self.workspace_of(request, batch)).collect()
+        let mut workspaces = Vec::new();
+        let without = self.each_batch(request, |batch| {
+            workspaces.push(self.workspace_of(request, &batch)?);
+            Ok(())
+        })?;
+        without.into_iter().next().map_or(Ok(workspaces), Err)
     }
 
     /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back, so that a pass can be
@@ -292,29 +297,55 @@ impl GpuEngine {
 }
 
 /// Cylinders that are fitted together, and their pairs with frames.
+#[derive(Default)]
 struct Batch {
-    /// Places in the request's list of frames.
-    members: Range<usize>,
+    /// Their frames.
+    frames: Vec<usize>,
     radii_mm: Vec<f64>,
     pairs: Vec<DevicePair>,
+    /// Points of all pairs.
+    slots: u64,
     /// The track's points that its pairs refer to.
     points: Range<usize>,
 }
 
+/// Most pairs of a batch: 112 MB of them.
+const MAX_PAIRS: usize = 1 << 20;
+/// Cylinders whose pairs are found at a time, on all cores.
+const FRAMES_AT_A_TIME: usize = 64;
+
+impl Batch {
+    fn add(&mut self, frame: usize, radius_mm: f64, pairs: &[NearFrame]) {
+        let cylinder = self.frames.len() as u32;
+        for pair in pairs {
+            let (first, count) = (pair.echoes.start as u32, pair.echoes.len() as u32);
+            // A batch of 2³² slots fits no device; the workspace refuses it.
+            let slot = u32::try_from(self.slots).unwrap_or(u32::MAX);
+            self.pairs.push(DevicePair::new(&pair.cylinder_from_probe, cylinder, first, count, slot));
+            self.slots += u64::from(count);
+        }
+        self.frames.push(frame);
+        self.radii_mm.push(radius_mm);
+    }
+
+    /// With its pairs' points counted from the batch's first.
+    fn finished(mut self) -> Self {
+        self.pairs.iter_mut().for_each(|pair| pair.first_point -= self.points.start as u32);
+        self
+    }
+}
+
 /// A cylinder's pairs: points of the track, and `cylTi`.
-type Pairs = Vec<crate::cylinders::track::NearFrame>;
+type Pairs = Vec<NearFrame>;
 
 impl GpuEngine {
-    /// Cuts a request into batches that fit the device.
-    fn batches(&self, request: &FitRequest) -> Result<Vec<Batch>> {
-        let near: Vec<(f64, Pairs)> = request
-            .frames
-            .par_iter()
-            .map(|&frame| {
-                let radius_mm = request.track.cylinder(frame)?.radius_mm;
-                Ok((radius_mm, request.track.near(frame, request.settings)?.collect()))
-            })
-            .collect::<Result<_>>()?;
+    /// Cuts a request into batches that fit the device, and hands them over one by one: where a catheter rests, each cylinder
+    /// pairs with every frame before it, so that all pairs together can exceed any memory. Returns why frames have none.
+    fn each_batch(
+        &self,
+        request: &FitRequest,
+        mut hand_over: impl FnMut(Batch) -> Result<()>,
+    ) -> Result<Vec<Error>> {
         let limits = self.runner.context.device.limits();
         let max_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         let tube = Tube::new(request.settings);
@@ -326,6 +357,7 @@ impl GpuEngine {
                 && 24 * cylinders * tube.face_count() as u64 <= max_bytes
                 && history * cylinders * tube.node_count() as u64 <= limits.max_buffer_size
                 && (size_of::<DevicePair>() * pairs) as u64 <= max_bytes
+                && pairs <= MAX_PAIRS
                 && 8 * points.len() as u64 <= max_bytes
                 && cylinders <= 65_535
         };
@@ -334,38 +366,39 @@ impl GpuEngine {
             (_, true) => a.clone(),
             _ => a.start.min(b.start)..a.end.max(b.end),
         };
-        let mut batches: Vec<Batch> = Vec::new();
-        let mut slots = 0;
-        for (k, (radius_mm, pairs)) in near.into_iter().enumerate() {
-            let own: u64 = pairs.iter().map(|p| p.echoes.len() as u64).sum();
-            let own_points = pairs.iter().fold(0..0, |all, p| span(&all, &p.echoes));
-            let open = batches.last().is_some_and(|b| {
-                let cylinders = b.radii_mm.len() as u64 + 1;
-                fits(slots + own, cylinders, b.pairs.len() + pairs.len(), &span(&b.points, &own_points))
-            });
-            if !open {
-                batches.push(Batch { members: k..k, radii_mm: vec![], pairs: vec![], points: 0..0 });
-                slots = 0;
-            }
-            let Some(batch) = batches.last_mut() else { continue };
-            let cylinder = batch.radii_mm.len() as u32;
-            for pair in &pairs {
-                let (first, count) = (pair.echoes.start as u32, pair.echoes.len() as u32);
-                // A batch of 2³² slots fits no device; the workspace refuses it.
-                let slot = u32::try_from(slots).unwrap_or(u32::MAX);
-                batch.pairs.push(DevicePair::new(&pair.cylinder_from_probe, cylinder, first, count, slot));
-                slots += u64::from(count);
-            }
-            batch.points = span(&batch.points, &own_points);
-            batch.radii_mm.push(radius_mm);
-            batch.members.end = k + 1;
-        }
-        for batch in &mut batches {
-            for pair in &mut batch.pairs {
-                pair.first_point -= batch.points.start as u32;
+        let near = |&frame: &usize| -> Result<(f64, Pairs)> {
+            let radius_mm = request.track.cylinder(frame)?.radius_mm;
+            Ok((radius_mm, request.track.near(frame, request.settings)?.collect()))
+        };
+        let mut without = Vec::new();
+        let mut batch = Batch::default();
+        for frames in request.frames.chunks(FRAMES_AT_A_TIME) {
+            let near: Vec<Result<(f64, Pairs)>> = frames.par_iter().map(near).collect();
+            for (&frame, near) in frames.iter().zip(near) {
+                let (radius_mm, pairs) = match near {
+                    Ok(near) => near,
+                    Err(why) => {
+                        without.push(why);
+                        continue;
+                    }
+                };
+                let own: u64 = pairs.iter().map(|p| p.echoes.len() as u64).sum();
+                let own_points = pairs.iter().fold(0..0, |all, p| span(&all, &p.echoes));
+                let cylinders = batch.frames.len() as u64 + 1;
+                let all_points = span(&batch.points, &own_points);
+                if !batch.frames.is_empty()
+                    && !fits(batch.slots + own, cylinders, batch.pairs.len() + pairs.len(), &all_points)
+                {
+                    hand_over(std::mem::take(&mut batch).finished())?;
+                }
+                batch.add(frame, radius_mm, &pairs);
+                batch.points = span(&batch.points, &own_points);
             }
         }
-        Ok(batches)
+        if !batch.frames.is_empty() {
+            hand_over(batch.finished())?;
+        }
+        Ok(without)
     }
 
     fn workspace_of(&self, request: &FitRequest, batch: &Batch) -> Result<FitWorkspace> {
@@ -380,13 +413,10 @@ impl GpuEngine {
 
     /// The sections of a batch's cylinders, from the CPU.
     fn sections(&self, request: &FitRequest, batch: &Batch) -> Result<Vec<Section<f32>>> {
-        request.frames[batch.members.clone()]
-            .par_iter()
-            .map(|&k| request.track.section(k, request.settings))
-            .collect()
+        batch.frames.par_iter().map(|&k| request.track.section(k, request.settings)).collect()
     }
 
-    fn fit_batch(&self, request: &FitRequest, batch: &Batch) -> Result<Vec<FittedCylinder>> {
+    fn fit_batch(&self, request: &FitRequest, batch: &Batch) -> Result<Vec<Result<FittedCylinder>>> {
         let workspace = self.workspace_of(request, batch)?;
         let sections = match self.cpu_stages {
             CpuStages::None => None,
@@ -394,14 +424,14 @@ impl GpuEngine {
         };
         let (settings, radii_mm) = (request.settings, &batch.radii_mm);
         let tubes = self.tubes(&workspace, settings, radii_mm, request.history, sections.as_deref())?;
-        let fitted = tubes.into_iter().zip(&request.frames[batch.members.clone()]).map(|(tube, &frame)| {
+        let fitted = tubes.into_iter().zip(&batch.frames).map(|(tube, &frame)| {
             if tube.points == 0 {
                 return Err(empty_section(frame, tube.radius_mm, tube.gated, request.settings));
             }
             let world_from_cylinder = request.track.cylinder(frame)?.world_from_cylinder;
             Ok(FittedCylinder { frame, world_from_cylinder, tube })
         });
-        fitted.collect()
+        Ok(fitted.collect())
     }
 }
 
@@ -416,12 +446,16 @@ impl Sealed for GpuEngine {}
 
 impl Engine for GpuEngine {
     fn fit(&self, request: &FitRequest) -> Result<Fit> {
-        let mut cylinders = Vec::with_capacity(request.frames.len());
-        for batch in self.batches(request)? {
-            cylinders.extend(self.fit_batch(request, &batch)?);
-            (request.progress)(batch.members.len());
+        let mut fitted = Vec::with_capacity(request.frames.len());
+        let without = self.each_batch(request, |batch| {
+            fitted.extend(self.fit_batch(request, &batch)?);
+            (request.progress)(batch.frames.len());
+            Ok(())
+        })?;
+        if !without.is_empty() {
+            (request.progress)(without.len());
         }
-        Ok(Fit { cylinders, engine: self.describe() })
+        Fit::of(fitted.into_iter().chain(without.into_iter().map(Err)), self.describe())
     }
 
     fn fit_section(&self, section: &Section<f32>, radius_mm: f64, settings: &Settings) -> Result<SectionFit> {

@@ -1,0 +1,309 @@
+//! The screening while frames arrive: what is told at once, and what only later frames can tell.
+
+use super::no_echo::{self, Counts};
+use super::path::{JUMP_PRICE, LOST_STEPS, Limits, Place, is_lost_value, lost_frame, step_mm};
+use super::{LeftOut, NoEcho, Reason, Screening, probe, repeats};
+use crate::numerics::robust::median;
+use crate::recording::Frame;
+use glam::{DVec2, DVec3};
+use std::collections::VecDeque;
+
+/// Steps and radii that tell what is usual, the newest ones.
+const MEMORY: usize = 256;
+/// Frames that wait for a decision, at most; beyond, the oldest run of them is left out.
+const MAX_WAITING: usize = 4 * JUMP_PRICE as usize;
+/// Frames that are handed over at a time after a decision, so that none of them takes long.
+const FRAMES_AT_A_TIME: usize = 4;
+/// A lost pose is told after so many good ones.
+const MIN_ACCEPTED: usize = 5;
+
+/// Screens frames one by one.
+///
+/// A frame that jumps off the path waits. Where the path goes on as before, it was off; where its own run of frames becomes
+/// as long as [`Screening`] asks of a path, the sensor was moved, and the run is used. Where that run is longer than all
+/// that was used before, the recording began with a lost sensor: what was used is left out.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct LiveScreening {
+    /// Frames that have come.
+    frames: usize,
+    /// The last frame on the path and its number, and how many frames are on it.
+    last: Option<(usize, Place)>,
+    accepted: usize,
+    /// Jumping runs, in the order of their first frames.
+    runs: Vec<Run>,
+    /// Decided frames that are still to be handed over, in order.
+    ready: VecDeque<(usize, Option<Frame>)>,
+    /// What is usual.
+    pose_steps_mm: VecDeque<f64>,
+    shape_steps: VecDeque<f64>,
+    radii_mm: VecDeque<f64>,
+    positions_mm: VecDeque<DVec3>,
+    /// Contours that do not contain the probe.
+    outside: usize,
+    counts: Counts,
+    no_echo: Vec<NoEcho>,
+    /// The frame before, as it came, and how many frames in a row had its pose.
+    before: Option<(usize, Frame)>,
+    same_pose: usize,
+}
+
+/// Frames that wait, without a jump in between.
+#[derive(Debug, Clone)]
+struct Run {
+    frames: Vec<(usize, Frame)>,
+    last: Place,
+    price: f64,
+}
+
+/// What a frame decides.
+#[derive(Debug, Default)]
+pub(crate) struct Judged {
+    /// Whether everything that was handed over before is wrong. Frames are then handed over from the first on.
+    pub restart: bool,
+    /// The next frames in their order, each once; `None` for one that is left out.
+    pub frames: Vec<(usize, Option<Frame>)>,
+    /// Frames that are found unfit now.
+    pub left_out: Vec<LeftOut>,
+}
+
+impl LiveScreening {
+    /// Frames that wait for a decision.
+    pub fn waiting(&self) -> usize {
+        self.runs.iter().map(|run| run.frames.len()).sum()
+    }
+
+    /// Takes the next frame.
+    pub fn push(&mut self, frame: &Frame) -> Judged {
+        let number = self.frames;
+        self.frames += 1;
+        let mut judged = Judged::default();
+        let frame = self.without_no_echo(frame);
+        match self.alone(number, &frame) {
+            Some(left_out) => {
+                judged.left_out.push(left_out);
+                // Numbers stay in order: behind frames that wait, its turn comes with theirs.
+                match self.runs.last_mut() {
+                    Some(run) => run.frames.push((number, Frame::new(frame.world_from_sensor, Vec::new()))),
+                    None => self.ready.push_back((number, None)),
+                }
+            }
+            None => self.place(number, frame, &mut judged),
+        }
+        self.hand_over(FRAMES_AT_A_TIME, &mut judged);
+        judged
+    }
+
+    /// Ends the waiting: frames that are undecided are left out.
+    pub fn flush(&mut self) -> Judged {
+        let mut judged = Judged::default();
+        let last = self.last.as_ref().map(|(_, place)| place.clone());
+        let limits = self.limits();
+        for run in std::mem::take(&mut self.runs) {
+            self.leave_out(run, &limits, &last.iter().collect::<Vec<_>>(), &mut judged);
+        }
+        self.hand_over(usize::MAX, &mut judged);
+        judged
+    }
+
+    /// Hands over decided frames, at most so many that are used.
+    fn hand_over(&mut self, most: usize, judged: &mut Judged) {
+        let mut used = 0;
+        while used < most
+            && let Some(next) = self.ready.pop_front()
+        {
+            used += usize::from(next.1.is_some());
+            judged.frames.push(next);
+        }
+    }
+
+    /// Replaces values that stand for "no echo" by NaN.
+    fn without_no_echo(&mut self, frame: &Frame) -> Frame {
+        self.counts.add(frame);
+        self.no_echo = self.counts.found();
+        let mut frame = frame.clone();
+        for p in &mut frame.contour_mm {
+            if no_echo::is_no_echo(&self.no_echo, *p) {
+                *p = DVec2::NAN;
+            }
+        }
+        frame
+    }
+
+    /// Why a frame is left out, as far as it and the frame before tell.
+    fn alone(&mut self, number: usize, frame: &Frame) -> Option<LeftOut> {
+        if let Some(defect) = frame.defects().into_iter().next() {
+            return Some(LeftOut {
+                place: number,
+                frame: number,
+                reason: Reason::Defect,
+                field: defect.field,
+                found: defect.found,
+                expected: defect.expected.into(),
+            });
+        }
+        let before = self.before.replace((number, frame.clone()));
+        if let Some((before_number, before)) = before {
+            let repeated = |field, expected: &str| LeftOut {
+                place: number,
+                frame: number,
+                reason: Reason::Repeated,
+                field,
+                found: format!("the same as in frame {before_number}"),
+                expected: expected.into(),
+            };
+            let same_pose = repeats::same_pose(&before.world_from_sensor, &frame.world_from_sensor);
+            self.same_pose = if same_pose { self.same_pose + 1 } else { 0 };
+            if repeats::same_contour(&before.contour_mm, &frame.contour_mm)
+                && repeats::has_contour_noise(&[frame])
+            {
+                return Some(repeated("contour", "a new image"));
+            }
+            let is_lost = is_lost_value(&frame.world_from_sensor);
+            if self.same_pose + 1 >= repeats::MIN_FROZEN && !is_lost && self.has_tracker_noise() {
+                return Some(repeated("pose", "a new measurement"));
+            }
+        }
+        if let Some(by_mm) = probe::outside_by_mm(frame) {
+            self.outside += 1;
+            if self.outside as f64 <= Screening::MAX_SHARE * self.frames as f64 {
+                return Some(probe::left_out(number, by_mm));
+            }
+        }
+        None
+    }
+
+    fn has_tracker_noise(&self) -> bool {
+        self.accepted >= MIN_ACCEPTED && repeats::Motion::along(self.positions_mm.iter().copied()).has_noise
+    }
+
+    /// Puts a frame on the path, or among those that wait.
+    fn place(&mut self, number: usize, frame: Frame, judged: &mut Judged) {
+        let place = Place::of(&frame);
+        self.radii_mm.extend(place.radius_mm());
+        bound(&mut self.radii_mm);
+        let limits = self.limits();
+        let Some((last_number, last)) = &self.last else {
+            self.accept(number, frame, place, limits);
+            return;
+        };
+        let away_mm = step_mm(&last.pose(), &place.pose(), limits.radius_mm());
+        let is_off = away_mm > (LOST_STEPS + (number - last_number) as f64 - 1.0) * limits.usual_mm();
+        if is_lost_value(&place.pose()) && self.accepted >= MIN_ACCEPTED && is_off {
+            judged.left_out.push(lost_frame(number, away_mm, &place));
+            match self.runs.last_mut() {
+                Some(run) => run.frames.push((number, Frame::new(last.pose(), Vec::new()))),
+                None => self.ready.push_back((number, None)),
+            }
+            return;
+        }
+        let Some(jump) = limits.jump(last, &place, number - last_number) else {
+            let last = last.clone();
+            for run in std::mem::take(&mut self.runs) {
+                self.leave_out(run, &limits, &[&last, &place], judged);
+            }
+            self.accept(number, frame, place, limits);
+            return;
+        };
+        let goes_on = self.runs.iter().rposition(|run| limits.jump(&run.last, &place, 1).is_none());
+        match goes_on {
+            Some(r) => {
+                let run = &mut self.runs[r];
+                run.frames.push((number, frame));
+                run.last = place;
+                // All that came after the run's start and is not part of it is off its path.
+                let used = run.frames.iter().filter(|(_, frame)| !frame.contour_mm.is_empty()).count();
+                let enough = (used as f64) >= run.price.min(self.accepted as f64 + 1.0);
+                if enough {
+                    self.go_on_with(r, limits, judged);
+                }
+            }
+            None => {
+                let price = jump.price(usize::MAX);
+                self.runs.push(Run { frames: vec![(number, frame)], last: place, price });
+                if self.waiting() > MAX_WAITING {
+                    let last = self.last.as_ref().map(|(_, place)| place.clone());
+                    let beside: Vec<&Place> = last.iter().collect();
+                    let oldest = self.runs.remove(0);
+                    self.leave_out(oldest, &limits, &beside, judged);
+                }
+            }
+        }
+    }
+
+    /// Uses a run that waited; the others are left out, and so is what was used before where it is shorter.
+    fn go_on_with(&mut self, r: usize, limits: Limits, judged: &mut Judged) {
+        let run = self.runs.remove(r);
+        let place = run.last.clone();
+        for other in std::mem::take(&mut self.runs) {
+            self.leave_out(other, &limits, &[&place], judged);
+        }
+        if (self.accepted as f64) < run.price {
+            judged.restart = true;
+            let first = run.frames.first().map_or(self.frames, |(number, _)| *number);
+            let on_path = self.last.take().map(|(_, place)| place);
+            for number in 0..first {
+                if let Some(on_path) = &on_path {
+                    judged.left_out.push(limits.why(number, on_path, &[&place]));
+                }
+            }
+            let later = std::mem::take(&mut self.ready).into_iter().filter(|(number, _)| *number >= first);
+            self.ready = (0..first).map(|number| (number, None)).chain(later).collect();
+            self.accepted = 0;
+            self.pose_steps_mm.clear();
+            self.shape_steps.clear();
+            self.positions_mm.clear();
+        }
+        let mut decided: Vec<(usize, Option<Frame>)> = std::mem::take(&mut self.ready).into();
+        self.last = None;
+        for (number, frame) in run.frames {
+            if frame.contour_mm.is_empty() {
+                decided.push((number, None));
+                continue;
+            }
+            let place = Place::of(&frame);
+            self.accept(number, frame, place, limits);
+            decided.extend(self.ready.drain(..));
+        }
+        decided.sort_by_key(|(number, _)| *number);
+        self.ready = decided.into();
+    }
+
+    fn leave_out(&mut self, run: Run, limits: &Limits, beside: &[&Place], judged: &mut Judged) {
+        for (number, frame) in run.frames {
+            if !frame.contour_mm.is_empty() {
+                judged.left_out.push(limits.why(number, &Place::of(&frame), beside));
+            }
+            let at = self.ready.partition_point(|(other, _)| *other < number);
+            self.ready.insert(at, (number, None));
+        }
+    }
+
+    fn accept(&mut self, number: usize, frame: Frame, place: Place, limits: Limits) {
+        if let Some((_, last)) = &self.last {
+            self.pose_steps_mm.push_back(step_mm(&last.pose(), &place.pose(), limits.radius_mm()));
+            self.shape_steps.extend(last.shape_step(&place));
+        }
+        self.positions_mm.push_back(place.pose().translation_mm);
+        bound(&mut self.pose_steps_mm);
+        bound(&mut self.shape_steps);
+        bound(&mut self.positions_mm);
+        self.last = Some((number, place));
+        self.accepted += 1;
+        self.ready.push_back((number, Some(frame)));
+    }
+
+    fn limits(&self) -> Limits {
+        let radius_mm = median(&mut self.radii_mm.iter().copied().collect::<Vec<_>>());
+        Limits::new(
+            radius_mm,
+            self.pose_steps_mm.iter().copied().collect(),
+            self.shape_steps.iter().copied().collect(),
+        )
+    }
+}
+
+/// Forgets the oldest values.
+fn bound<T>(values: &mut VecDeque<T>) {
+    let excess = values.len().saturating_sub(MEMORY);
+    values.drain(..excess);
+}

@@ -1,0 +1,313 @@
+//! Which frames lie on the path that the sensor and the contours take from frame to frame.
+
+use super::{LeftOut, Reason};
+use crate::geometry::Pose;
+use crate::numerics::robust::median;
+use crate::recording::Frame;
+use glam::{DMat3, DVec3};
+
+/// Steps that are longer than these are jumps.
+///
+/// A pose step is the way of a contour's points, at most: the shift, and the turn at the contours' median radius. A shape
+/// step is the median change of the logarithm of the distances from the contour's centroid, quantile by quantile, so
+/// that neither a turn of the probe nor a branch in a few rays counts. It says something only where the frames lie so
+/// near to each other that the wall cannot have changed.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Limits {
+    /// Median of the contours' radii, mm.
+    radius_mm: f64,
+    /// The usual pose step, mm.
+    usual_mm: f64,
+    /// Longer pose steps are jumps, mm.
+    jump_mm: f64,
+    /// The usual shape step.
+    usual_shape: f64,
+    /// Larger shape steps are jumps.
+    jump_shape: f64,
+}
+
+/// A pose step is a jump where it is longer than this many of the usual ones …
+const JUMP_STEPS: f64 = 10.0;
+/// … and than this share of the contours' median radius.
+const JUMP_RADII: f64 = 0.5;
+/// A shape step is a jump where it is larger than [`JUMP_STEPS`] usual ones and than this: 42 % of the radius.
+const JUMP_SHAPE: f64 = 0.35;
+/// Contours that lie farther apart than this share of the median radius may differ as they like.
+const SHAPE_WITHIN_RADII: f64 = 0.5;
+/// The usual step is this quantile of all steps: a quarter of them may be jumps, or three quarters of them rests.
+const USUAL_QUANTILE: f64 = 0.75;
+/// The price of a jump of the pose, in frames: runs at the ends of a recording that are shorter, and runs within it that
+/// are shorter than twice that, are left out …
+pub(super) const JUMP_PRICE: f64 = 40.0;
+/// … of a jump of the shape, which anatomy may have too …
+const SHAPE_JUMP_PRICE: f64 = 12.0;
+/// … but in short recordings the price is at most this share of the frames.
+const JUMP_PRICE_SHARE: f64 = 0.25;
+/// With fewer frames nothing tells a jump from a step.
+const MIN_FRAMES: usize = 5;
+/// Runs that a path may pass over at a time.
+const MAX_RUNS_BACK: usize = 512;
+
+/// What a frame is compared by.
+#[derive(Debug, Clone)]
+pub(super) struct Place {
+    pose: Pose,
+    /// Median distance of the echoes from the contour's centroid, mm.
+    radius_mm: Option<f64>,
+    /// Logarithms of eight quantiles of these distances.
+    shape: Option<[f64; 8]>,
+}
+
+impl Place {
+    pub fn of(frame: &Frame) -> Self {
+        let pose = frame.world_from_sensor;
+        let Some(centre) = frame.centroid_mm() else { return Self { pose, radius_mm: None, shape: None } };
+        let mut distances: Vec<f64> = frame.echoes_mm().map(|p| p.distance(centre)).collect();
+        distances.sort_unstable_by(f64::total_cmp);
+        let count = distances.len();
+        let shape: [f64; 8] = std::array::from_fn(|i| distances[(2 * i + 1) * count / 16].ln());
+        let enough = count >= 8 && shape.iter().all(|s| s.is_finite());
+        Self { pose, radius_mm: Some(median(&mut distances)), shape: enough.then_some(shape) }
+    }
+
+    pub fn pose(&self) -> Pose {
+        self.pose
+    }
+
+    pub fn radius_mm(&self) -> Option<f64> {
+        self.radius_mm
+    }
+
+    pub fn shape_step(&self, other: &Self) -> Option<f64> {
+        let (a, b) = self.shape.as_ref().zip(other.shape.as_ref())?;
+        Some(median(&mut a.iter().zip(b).map(|(a, b)| (a - b).abs()).collect::<Vec<_>>()))
+    }
+}
+
+/// The way of a contour's points between two poses, mm: at most the shift, and the turn at the contour's radius.
+pub(super) fn step_mm(a: &Pose, b: &Pose, radius_mm: f64) -> f64 {
+    a.translation_mm.distance(b.translation_mm) + radius_mm * a.turn_rad(b)
+}
+
+/// The usual step: [`USUAL_QUANTILE`] of them all; 0 where there are none.
+fn usual(mut steps: Vec<f64>) -> f64 {
+    steps.sort_unstable_by(f64::total_cmp);
+    steps.get((USUAL_QUANTILE * steps.len().saturating_sub(1) as f64) as usize).copied().unwrap_or(0.0)
+}
+
+impl Limits {
+    /// The limits that a sequence of frames shows; `None` without contours.
+    pub fn of<'a>(places: impl Iterator<Item = &'a Place> + Clone) -> Option<Self> {
+        let mut radii: Vec<f64> = places.clone().filter_map(|place| place.radius_mm).collect();
+        if radii.is_empty() {
+            return None;
+        }
+        let radius_mm = median(&mut radii);
+        let pairs = || places.clone().zip(places.clone().skip(1));
+        let pose_steps_mm = pairs().map(|(a, b)| step_mm(&a.pose, &b.pose, radius_mm)).collect();
+        let shape_steps = pairs().filter_map(|(a, b)| a.shape_step(b)).collect();
+        Some(Self::new(radius_mm, pose_steps_mm, shape_steps))
+    }
+
+    /// The limits that a median radius and steps show.
+    pub fn new(radius_mm: f64, pose_steps_mm: Vec<f64>, shape_steps: Vec<f64>) -> Self {
+        let (usual_mm, usual_shape) = (usual(pose_steps_mm), usual(shape_steps));
+        Self {
+            radius_mm,
+            usual_mm,
+            jump_mm: (JUMP_STEPS * usual_mm).max(JUMP_RADII * radius_mm),
+            usual_shape,
+            jump_shape: (JUMP_STEPS * usual_shape).max(JUMP_SHAPE),
+        }
+    }
+
+    pub fn radius_mm(&self) -> f64 {
+        self.radius_mm
+    }
+
+    pub fn usual_mm(&self) -> f64 {
+        self.usual_mm
+    }
+
+    /// The kind of jump, if any, from a frame to one that was taken `gap` frames later: sensor and wall go on meanwhile,
+    /// one usual step for each frame.
+    pub fn jump(&self, a: &Place, b: &Place, gap: usize) -> Option<Jump> {
+        let meanwhile = gap.saturating_sub(1) as f64;
+        let step = step_mm(&a.pose, &b.pose, self.radius_mm);
+        if step > self.jump_mm + self.usual_mm * meanwhile {
+            return Some(Jump::Pose);
+        }
+        let near = step <= SHAPE_WITHIN_RADII * self.radius_mm;
+        let shape = a.shape_step(b).filter(|_| near);
+        shape.is_some_and(|s| s > self.jump_shape + self.usual_shape * meanwhile).then_some(Jump::Shape)
+    }
+
+    /// Why a frame is off the path, told by the nearest frames on it.
+    pub fn why(&self, frame: usize, place: &Place, on_path: &[&Place]) -> LeftOut {
+        let nearest =
+            |of: &dyn Fn(&Place) -> f64| on_path.iter().map(|n| of(n)).fold(f64::INFINITY, f64::min);
+        let away_mm = nearest(&|n| step_mm(&n.pose, &place.pose, self.radius_mm));
+        if away_mm > self.jump_mm || place.shape.is_none() {
+            return LeftOut {
+                place: frame,
+                frame,
+                reason: Reason::OffPath,
+                field: "pose",
+                found: format!("{away_mm:.1} mm off the path of the other frames{}", known(&place.pose)),
+                expected: format!(
+                    "steps of at most {:.1} mm, turns at the contour's radius included",
+                    self.jump_mm
+                ),
+            };
+        }
+        let radius = |place: &Place| place.radius_mm.unwrap_or(0.0);
+        let beside = on_path.first().map_or(0.0, |place| radius(place));
+        LeftOut {
+            place: frame,
+            frame,
+            reason: Reason::OffShape,
+            field: "contour",
+            found: format!(
+                "a median radius of {:.2} mm, {beside:.2} mm in the frames beside it",
+                radius(place)
+            ),
+            expected: format!(
+                "radii that change by less than {:.0} % from frame to frame",
+                100.0 * self.jump_shape.exp_m1()
+            ),
+        }
+    }
+}
+
+/// What jumps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Jump {
+    Pose,
+    Shape,
+}
+
+impl Jump {
+    /// In frames, of a path through `frames` of them.
+    pub fn price(self, frames: usize) -> f64 {
+        let price = match self {
+            Jump::Pose => JUMP_PRICE,
+            Jump::Shape => SHAPE_JUMP_PRICE,
+        };
+        price.min(JUMP_PRICE_SHARE * frames as f64)
+    }
+}
+
+/// A run of frames without a jump in between.
+struct Run {
+    /// Indices of its first and last frame in the list of places.
+    first: usize,
+    last: usize,
+}
+
+/// The frames, of those at `numbers`, that lie off the path of the others.
+///
+/// The path is the sequence of frames that maximises the number of its frames less the price of its jumps; it is found by
+/// dynamic programming over the runs between jumps.
+pub(super) fn off_the_path(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> {
+    if places.len() < MIN_FRAMES {
+        return Vec::new();
+    }
+    let Some(limits) = Limits::of(places.iter()) else { return Vec::new() };
+    let jump = |a: usize, b: usize| limits.jump(&places[a], &places[b], numbers[b] - numbers[a]);
+    let mut runs = vec![Run { first: 0, last: 0 }];
+    for i in 1..places.len() {
+        match runs.last_mut() {
+            Some(run) if jump(i - 1, i).is_none() => run.last = i,
+            _ => runs.push(Run { first: i, last: i }),
+        }
+    }
+    if runs.len() < 2 {
+        return Vec::new();
+    }
+    // The best path that ends with each run: its worth, and the run before.
+    let mut best: Vec<(f64, Option<usize>)> = Vec::with_capacity(runs.len());
+    for (b, run) in runs.iter().enumerate() {
+        let mut before = (0.0, None);
+        for a in (0..b).rev().take(MAX_RUNS_BACK) {
+            let price = jump(runs[a].last, run.first).map_or(0.0, |jump| jump.price(places.len()));
+            let worth = best[a].0 - price;
+            if worth > before.0 {
+                before = (worth, Some(a));
+            }
+        }
+        best.push(((run.last - run.first + 1) as f64 + before.0, before.1));
+    }
+    let mut on_path = vec![false; runs.len()];
+    let mut at = (0..runs.len()).max_by(|&a, &b| best[a].0.total_cmp(&best[b].0).then(b.cmp(&a)));
+    while let Some(run) = at {
+        on_path[run] = true;
+        at = best[run].1;
+    }
+    let kept: Vec<usize> = (0..runs.len()).filter(|&run| on_path[run]).collect();
+    let mut left_out = Vec::new();
+    for (r, run) in runs.iter().enumerate().filter(|(r, _)| !on_path[*r]) {
+        let next = kept.partition_point(|&k| k < r);
+        let before = next.checked_sub(1).map(|n| &places[runs[kept[n]].last]);
+        let after = kept.get(next).map(|&n| &places[runs[n].first]);
+        let beside: Vec<&Place> = before.into_iter().chain(after).collect();
+        left_out.extend((run.first..=run.last).map(|i| limits.why(numbers[i], &places[i], &beside)));
+    }
+    left_out
+}
+
+/// What a pose that trackers send for a lost sensor looks like.
+fn known(pose: &Pose) -> &'static str {
+    match (pose.translation_mm == DVec3::ZERO, pose.rotation == DMat3::IDENTITY) {
+        (true, true) => " (the identity: a lost sensor)",
+        (true, false) => " (at the origin: a lost sensor)",
+        _ => "",
+    }
+}
+
+/// Whether a pose is one that trackers send for a lost sensor. A sensor can also be there.
+pub(super) fn is_lost_value(pose: &Pose) -> bool {
+    pose.translation_mm == DVec3::ZERO
+}
+
+/// A pose that trackers send for a lost sensor is taken for one where it lies this many usual steps, and one for each frame
+/// in between, off the nearest other poses before and after.
+pub(super) const LOST_STEPS: f64 = 3.0;
+
+/// The frames, of those at `numbers`, whose pose is one that trackers send for a lost sensor, unless the sensor may have
+/// been there.
+pub(super) fn lost(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> {
+    let is_lost: Vec<bool> = places.iter().map(|place| is_lost_value(&place.pose)).collect();
+    let others = places.iter().zip(&is_lost).filter(|(_, lost)| !**lost).map(|(place, _)| place);
+    let Some(limits) = Limits::of(others) else { return Vec::new() };
+    let mut nearest_mm = vec![f64::INFINITY; places.len()];
+    let mut is_off = vec![true; places.len()];
+    let mut compare = |order: &mut dyn Iterator<Item = usize>| {
+        let mut other: Option<usize> = None;
+        for i in order {
+            if !is_lost[i] {
+                other = Some(i);
+            } else if let Some(other) = other {
+                let step_mm = step_mm(&places[other].pose, &places[i].pose, limits.radius_mm);
+                nearest_mm[i] = nearest_mm[i].min(step_mm);
+                is_off[i] &= step_mm > limits.usual_mm * (LOST_STEPS + i.abs_diff(other) as f64 - 1.0);
+            }
+        }
+    };
+    compare(&mut (0..places.len()));
+    compare(&mut (0..places.len()).rev());
+    (0..places.len())
+        .filter(|&i| is_lost[i] && is_off[i] && nearest_mm[i].is_finite())
+        .map(|i| lost_frame(numbers[i], nearest_mm[i], &places[i]))
+        .collect()
+}
+
+pub(super) fn lost_frame(frame: usize, away_mm: f64, place: &Place) -> LeftOut {
+    LeftOut {
+        place: frame,
+        frame,
+        reason: Reason::Lost,
+        field: "pose",
+        found: format!("{away_mm:.1} mm off the path of the other frames{}", known(&place.pose)),
+        expected: "a measured pose".into(),
+    }
+}
