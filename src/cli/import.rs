@@ -21,8 +21,9 @@ enum Source {
 /// Import contours of an untracked pullback; poses are assumed along a line
 ///
 /// The file has one line per wall point: frame number, x, y in the image and pullback position z, all in mm,
-/// separated by tabs, semicolons or commas, with or without column names. Frames are sorted by z and renumbered
-/// from 0. The roll about the catheter was not measured and is assumed constant.
+/// separated by tabs, semicolons, commas or blanks, with or without column names. Frames are sorted by z and
+/// keep their numbers where these rise with it. The roll about the catheter was not measured and is assumed
+/// constant.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  lumenmesh import pullback contours.csv -o pullback.mat --upright\n  \
     lumenmesh import pullback contours.csv -o pullback --centreline vessel.csv --centre 4.5,4.5")]

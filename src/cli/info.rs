@@ -9,7 +9,7 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  lumenmesh info pullback.mat\n  lumenmesh info recording_folder --json")]
 pub(super) struct Arguments {
-    /// A .mat file (v5, v7) or a folder with poses.csv and contours.csv
+    /// A .mat file (v4 to v7.3) or a folder with poses.csv and contours.csv
     recording: PathBuf,
     /// Print JSON instead of text
     #[arg(long)]

@@ -21,7 +21,7 @@ use std::path::PathBuf;
   lumenmesh reconstruct recording/ -o vessel.ply --method cylinders --nodes 24 --levels 8
   lumenmesh reconstruct pullback.mat -o vessel.vtp --method cylinders --cylinders cylinders.csv")]
 pub(super) struct Arguments {
-    /// Recording: a MATLAB .mat file (v5, v7) or a folder of CSV files
+    /// Recording: a MATLAB .mat file (v4 to v7.3) or a folder of CSV files
     #[arg(value_name = "REC")]
     recording: PathBuf,
     /// Mesh to write: .vtp, .ply, .stl or .obj

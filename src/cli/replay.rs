@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
   lumenmesh replay pullback.mat -o vessel.vtp --method sweep --half-life 30 --real-time
   lumenmesh replay pullback.mat -o vessel.vtp --json | jq .push_ms.p99")]
 pub(super) struct Arguments {
-    /// Recording: a MATLAB .mat file (v5, v7) or a folder of CSV files
+    /// Recording: a MATLAB .mat file (v4 to v7.3) or a folder of CSV files
     #[arg(value_name = "REC")]
     recording: PathBuf,
     /// Mesh to write after the last frame: .vtp, .ply, .stl or .obj

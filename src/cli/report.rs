@@ -18,7 +18,7 @@ use std::path::PathBuf;
   lumenmesh report pullback.mat -o report.html
   lumenmesh report recording/ --truth wall.vtp -o report.html --method cylinders --nodes 24")]
 pub(super) struct Arguments {
-    /// Recording: a MATLAB .mat file (v5, v7) or a folder of CSV files
+    /// Recording: a MATLAB .mat file (v4 to v7.3) or a folder of CSV files
     #[arg(value_name = "REC")]
     recording: PathBuf,
     /// The vessel's wall, where it is known: the page then shows errors

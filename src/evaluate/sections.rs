@@ -90,8 +90,7 @@ pub fn sections(mesh: &Surface, recording: &Recording, sensor_from_probe: Pose) 
 /// Where the file cannot be read, lacks a column, holds something else than numbers or names a frame twice.
 pub fn read_values(path: &Path, column: &str) -> Result<BTreeMap<u64, f64>> {
     let mut table = Table::open(path)?;
-    let name = column.to_ascii_lowercase();
-    let (frame, value) = (table.column("frame")?, table.column(&name)?);
+    let (frame, value) = (table.column("frame")?, table.column_headed(column)?);
     let mut values = BTreeMap::new();
     while let Some(row) = table.next_row()? {
         let number = table.count(&row, frame)? as u64;

@@ -17,8 +17,8 @@ impl Pose {
     /// No motion at all.
     pub const IDENTITY: Pose = Pose { rotation: DMat3::IDENTITY, translation_mm: DVec3::ZERO };
 
-    /// The pose of a sensor that the tracker did not see: all its numbers are NaN, so that it equals no pose, not even
-    /// itself.
+    /// The pose of a sensor that the tracker did not see: all its numbers are NaN, so that it equals no pose,
+    /// not even itself.
     pub const LOST: Pose = Pose { rotation: DMat3::NAN, translation_mm: DVec3::NAN };
 
     /// A pose from a position in mm and a unit quaternion.
@@ -48,6 +48,16 @@ impl Pose {
     pub fn orthogonality_error(&self) -> f64 {
         let e = self.rotation.transpose() * self.rotation - DMat3::IDENTITY;
         e.to_cols_array().iter().fold(0.0, |worst, x| x.abs().max(worst))
+    }
+
+    /// The pose with the rotation that is nearest to its own: what rounding took from its axes is made good.
+    ///
+    /// Newton's iteration for the orthogonal factor of a polar decomposition; it doubles the digits in each
+    /// step, so that five are enough for a rotation with two good ones.
+    #[must_use]
+    pub fn orthonormalised(&self) -> Self {
+        let step = |rotation: DMat3, _| (rotation + rotation.inverse().transpose()) * 0.5;
+        Self { rotation: (0..5).fold(self.rotation, step), ..*self }
     }
 
     /// The angle of the rotation from this orientation to another, rad, from 0 to π.
@@ -88,6 +98,16 @@ mod tests {
         let p = some_pose() * some_pose().inverse();
         assert!(p.rotation.abs_diff_eq(DMat3::IDENTITY, 1e-15));
         assert!(p.translation_mm.length() < 1e-12);
+    }
+
+    #[test]
+    fn a_rounded_rotation_is_made_orthonormal_again() {
+        let p = some_pose();
+        let rounded = p.rotation.to_cols_array().map(|x| (x * 100.0).round() / 100.0);
+        let rounded = Pose { rotation: DMat3::from_cols_array(&rounded), ..p };
+        assert!(rounded.orthogonality_error() > 1e-3);
+        assert!(rounded.orthonormalised().orthogonality_error() < 1e-15);
+        assert!(rounded.orthonormalised().rotation.abs_diff_eq(p.rotation, 5e-3));
     }
 
     #[test]

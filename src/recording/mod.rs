@@ -40,6 +40,9 @@ pub struct Frame {
     pub contour_mm: Vec<DVec2>,
     /// The local cylinder, where the recording carries one.
     pub cylinder: Option<CylinderModel>,
+    /// How far the rotation in its file was from orthonormal, the largest element of |RᵀR − I|, where that was
+    /// more than [`Recording::check`] allows, so that the reader made it orthonormal.
+    pub rotation_error: Option<f64>,
     /// The frame's number in its file, where that is not its place in the recording. See [`Recording::number`].
     pub number: Option<usize>,
 }
@@ -47,7 +50,14 @@ pub struct Frame {
 impl Frame {
     /// A frame without a time, a cylinder or a number of its own.
     pub fn new(world_from_sensor: Pose, contour_mm: Vec<DVec2>) -> Self {
-        Self { world_from_sensor, time_s: None, contour_mm, cylinder: None, number: None }
+        Self {
+            world_from_sensor,
+            time_s: None,
+            contour_mm,
+            cylinder: None,
+            rotation_error: None,
+            number: None,
+        }
     }
 
     /// Sets the time.
@@ -120,14 +130,21 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Reads a recording: a MATLAB `.mat` file (v5, v7) or a folder of CSV files.
+    /// Reads a recording: a MATLAB `.mat` file (v4 to v7.3) or a folder of CSV files.
     ///
     /// A `.mat` file holds `rotm` (3×3×F, the sensor's rotation in the world), `Ep` (F×3, its position, mm),
     /// `x_data` and `y_data` (F×M, contours, mm, NaN where there is no echo) and optionally `cyl_px`, `cyl_py`,
     /// `theta`, `phi`, `rad` and `time_s` (F×1 each). A folder holds `poses.csv`
     /// (`frame,time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw`), `contours.csv` (`frame,x_mm,y_mm`) and optionally
     /// `cylinders.csv` (`frame,px_mm,py_mm,theta_rad,phi_rad,radius_mm`). Frames keep their
-    /// [numbers](Recording::number). A pose that is missing is [`Pose::LOST`].
+    /// [numbers](Recording::number). A pose that is missing is [`Pose::LOST`], and so is one whose status says
+    /// that the tracker did not see its sensor.
+    ///
+    /// `.mat` files may also hold these variables in structs, quaternions (`quat_wxyz`, `quat_xyzw`, F×4) for
+    /// `rotm`, transforms (`wTe`, 4×4×F) for the poses, cells of vectors for the contours, or `contours`, cells
+    /// of M×2 arrays, and arrays that are transposed where their sizes or numbers tell so. The columns of CSV
+    /// files may be in other units that their names state (`x [cm]`), and `contours.csv` may have one line per
+    /// frame (`frame,x0_mm,y0_mm,x1_mm,…`).
     ///
     /// # Errors
     /// Where a file cannot be read, lacks a variable, or holds a frame that fails [`Recording::check`].
@@ -144,7 +161,8 @@ impl Recording {
     /// defects can be inspected.
     ///
     /// # Errors
-    /// Where a file cannot be read, lacks a variable or has one of a wrong shape.
+    /// Where a file cannot be read, lacks a variable, or has one of a wrong shape or of one that can be read in
+    /// two ways.
     pub fn read_unchecked(path: &Path) -> Result<Self> {
         if path.is_dir() { formats::csv::read(path) } else { formats::mat::read_by_ending(path) }
     }
@@ -245,6 +263,15 @@ impl Frame {
         defects
     }
 
+    /// Makes a rotation orthonormal that was rounded to few digits.
+    fn orthonormalise(&mut self) {
+        let error = self.world_from_sensor.orthogonality_error();
+        if ROTATION_TOLERANCE < error && error <= ROUNDING_TOLERANCE {
+            self.world_from_sensor = self.world_from_sensor.orthonormalised();
+            self.rotation_error = Some(error);
+        }
+    }
+
     fn rotation_defect(&self) -> Option<(String, &'static str)> {
         let rotation = &self.world_from_sensor.rotation;
         if !rotation.is_finite() {
@@ -281,6 +308,10 @@ const MAX_POSITION_MM: f64 = 1e6;
 
 /// Largest element of |RᵀR − I| that rounding in a tracker's output explains.
 const ROTATION_TOLERANCE: f64 = 1e-3;
+
+/// Largest element of |RᵀR − I| that rounding to two or three digits explains: readers make such rotations
+/// orthonormal.
+const ROUNDING_TOLERANCE: f64 = 1e-2;
 
 fn unknown_ending(path: &Path) -> Error {
     Error::UnknownEnding {

@@ -28,8 +28,9 @@ pub struct Pullback {
 impl Pullback {
     /// Reads contours with one line per wall point: frame number, x, y in the image and pullback position z, mm.
     ///
-    /// Tabs, semicolons or commas separate. Columns are the first four, or those named `frame` and `x`, `y`, `z`
-    /// (or `x_mm`, `y_mm`, `z_mm`). A last point that repeats its contour's first is dropped.
+    /// Tabs, semicolons, commas or blanks separate. Columns are the first four, or those named `frame`, `x_mm`,
+    /// `y_mm` and `z_mm`, also without a unit or with another one, which is converted. A last point that
+    /// repeats its contour's first is dropped.
     ///
     /// The probe's origin is `centre_mm`, or else the mean over the frames of their contours' area centroids. The
     /// probe's z axis lies along the world's, or else along `centreline` from its first point, which takes the
@@ -64,8 +65,11 @@ impl Pullback {
             Some(line) => line.poses(positions_mm.iter().map(|z| z - start_mm)),
         };
         let frame_numbers = contours.iter().map(|c| c.number).collect();
-        let frame = |(pose, contour): (Pose, Contour)| Frame::new(pose, contour.points_mm);
-        let mut frames: Vec<Frame> = poses.into_iter().zip(contours).map(frame).collect();
+        let frame = |(k, (pose, contour)): (usize, (Pose, Contour))| {
+            let number = usize::try_from(contour.number).ok().filter(|&number| number != k);
+            Frame::new(pose, contour.points_mm).with_number(number)
+        };
+        let mut frames: Vec<Frame> = poses.into_iter().zip(contours).enumerate().map(frame).collect();
         let centre_mm = match centre_mm {
             Some(centre) => centre,
             None => mean(frames.iter().filter_map(Frame::centroid_mm)).ok_or_else(|| {
@@ -98,8 +102,7 @@ struct Contour {
 
 fn read_contours(path: &Path) -> Result<Vec<Contour>> {
     let mut table = Table::open(path)?;
-    let [frame] = table.columns([["frame", "frame"]], 0)?;
-    let [x, y, z] = table.columns([["x", "x_mm"], ["y", "y_mm"], ["z", "z_mm"]], 1)?;
+    let [frame, x, y, z] = table.columns(["frame", "x_mm", "y_mm", "z_mm"], 0)?;
     let mut contours: BTreeMap<u64, Contour> = BTreeMap::new();
     while let Some(row) = table.next_row()? {
         let number = table.count(&row, frame)? as u64;
@@ -139,15 +142,16 @@ pub struct PullbackPath {
 }
 
 impl PullbackPath {
-    /// Reads points x, y, z in mm, one a line: the first three columns, or those named `x`, `y`, `z` (or `x_mm`,
-    /// `y_mm`, `z_mm`). Where a column `branch` is there, the first branch counts.
+    /// Reads points x, y, z in mm, one a line: the first three columns, or those named `x_mm`, `y_mm`, `z_mm`,
+    /// also without a unit or with another one, which is converted. Where a column `branch` is there, the first
+    /// branch counts.
     ///
     /// # Errors
     /// Where the file cannot be read, a number is missing or not finite, or fewer than two points differ.
     pub fn read(path: &Path) -> Result<Self> {
         let mut table = Table::open(path)?;
         let branch_column = table.optional_column("branch")?;
-        let [x, y, z] = table.columns([["x", "x_mm"], ["y", "y_mm"], ["z", "z_mm"]], 0)?;
+        let [x, y, z] = table.columns(["x_mm", "y_mm", "z_mm"], 0)?;
         let mut first_branch = None;
         let mut points: Vec<DVec3> = Vec::new();
         while let Some(row) = table.next_row()? {

@@ -29,6 +29,9 @@ pub struct Summary {
     pub step_mm: Option<MinMedianMax>,
     /// Angle between the sensor's orientations in consecutive frames, rad.
     pub turn_rad: Option<MinMedianMax>,
+    /// Frames whose rotations were rounded to so few digits in their file that the reader made them
+    /// orthonormal.
+    pub rounded_rotations: usize,
     /// Distance of the wall points from their contour's centroid, mm.
     pub contour_radius_mm: Option<MinMedianMax>,
     /// Frames with a cylinder model.
@@ -101,6 +104,7 @@ impl Summary {
             path_length_mm: steps.iter().sum::<f64>() + 0.0,
             step_mm: min_median_max(steps.iter().copied()),
             turn_rad: min_median_max(turns),
+            rounded_rotations: frames.iter().filter(|f| f.rotation_error.is_some()).count(),
             contour_radius_mm,
             cylinders: frames.iter().filter(|f| f.cylinder.is_some()).count(),
             cylinder_radius_mm: min_median_max(
@@ -160,6 +164,13 @@ impl fmt::Display for Summary {
             max: s.max.to_degrees(),
         };
         writeln!(f, "turns           {}", or_unknown(self.turn_rad.map(degrees), "degrees"))?;
+        if self.rounded_rotations > 0 {
+            writeln!(
+                f,
+                "rotations       {} made orthonormal, rounded as they are in the file",
+                self.rounded_rotations
+            )?;
+        }
         writeln!(f, "contour radius  {}", or_unknown(self.contour_radius_mm, "mm"))?;
         write!(f, "cylinders       {}", self.cylinders)?;
         if let Some(radius) = self.cylinder_radius_mm {

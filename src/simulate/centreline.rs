@@ -2,9 +2,9 @@
 
 use crate::geometry::{Pose, polyline, rotation_minimising_frames};
 use crate::output::write_atomically;
+use crate::recording::Table;
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
-use serde::Deserialize;
 use std::path::Path;
 
 /// The centreline of one branch of a vessel: a smooth curve through given points, parameterised by the length of
@@ -66,8 +66,9 @@ impl Centreline {
             frames: Vec::new(),
             frame_step_mm: 0.0,
         };
-        // Fine enough for the turn between two frames to be small, coarse enough for any curve to fit in memory.
-        let steps = (length / 0.25).ceil().clamp(1.0, 1e6) as usize;
+        // Fine enough for the turn between two frames to be small, and no more frames than 25 m of vessel need, whatever
+        // the coordinates in a file are.
+        let steps = (length / 0.25).ceil().clamp(1.0, 1e5) as usize;
         line.frame_step_mm = length / steps as f64;
         let (points, tangents): (Vec<_>, Vec<_>) =
             (0..=steps).map(|i| line.at(i as f64 * line.frame_step_mm)).unzip();
@@ -76,39 +77,31 @@ impl Centreline {
     }
 
     /// Reads the centrelines of a vessel from a CSV file with the columns `branch`, `x_mm`, `y_mm`, `z_mm` and
-    /// `r_inscribed_mm`, one row per point; others are left alone. A branch is a run of rows with the same number.
+    /// `r_inscribed_mm`, one row per point; others are left alone. Lengths may be in another unit that the name
+    /// states. A branch is a run of rows with the same number.
     ///
     /// # Errors
     /// [`Error::Read`], and [`Error::Input`] for rows that cannot be read and branches that
     /// [`Centreline::new`] refuses.
     pub fn read_branches(path: &Path) -> Result<Vec<Self>> {
-        #[derive(Deserialize)]
-        struct Row {
-            branch: i64,
-            x_mm: f64,
-            y_mm: f64,
-            z_mm: f64,
-            r_inscribed_mm: f64,
+        let mut table = Table::open(path)?;
+        let branch = table.column("branch")?;
+        let [x, y, z, radius] = table.columns(["x_mm", "y_mm", "z_mm", "r_inscribed_mm"], 1)?;
+        let mut rows: Vec<(f64, DVec3, f64)> = Vec::new();
+        while let Some(row) = table.next_row()? {
+            let number = |column| table.number(&row, column);
+            rows.push((number(branch)?, DVec3::new(number(x)?, number(y)?, number(z)?), number(radius)?));
         }
-        let file = std::fs::File::open(path).map_err(|source| Error::Read { path: path.into(), source })?;
-        let rows = csv::ReaderBuilder::new()
-            .trim(csv::Trim::All)
-            .from_reader(file)
-            .into_deserialize()
-            .collect::<Result<Vec<Row>, csv::Error>>()
-            .map_err(|e| {
-                Error::input(path, "rows", e, "columns branch, x_mm, y_mm, z_mm, r_inscribed_mm with numbers")
-            })?;
         if rows.is_empty() {
             return Err(Error::input(path, "rows", "none", "the points of at least one branch"));
         }
-        rows.chunk_by(|a, b| a.branch == b.branch)
+        rows.chunk_by(|(a, ..), (b, ..)| a == b)
             .map(|branch| {
-                let points = branch.iter().map(|r| DVec3::new(r.x_mm, r.y_mm, r.z_mm)).collect();
-                let radii = branch.iter().map(|r| r.r_inscribed_mm).collect();
+                let points = branch.iter().map(|&(_, point, _)| point).collect();
+                let radii = branch.iter().map(|&(.., radius)| radius).collect();
                 Self::new(points, radii).map_err(|error| match error {
                     Error::Surface { what, found, expected } => {
-                        Error::input(path, format!("branch {}: {what}", branch[0].branch), found, expected)
+                        Error::input(path, format!("branch {}: {what}", branch[0].0), found, expected)
                     }
                     other => other,
                 })
@@ -277,6 +270,12 @@ mod tests {
         let line = quarter_circle();
         let (p, _) = line.at(20.3);
         assert!((line.nearest_mm(p * 0.8, 17.0, 15.0) - 20.3).abs() < 1e-2);
+    }
+
+    #[test]
+    fn the_frames_of_an_endless_curve_are_bounded() {
+        let line = Centreline::new(vec![DVec3::ZERO, DVec3::X * 1e300], vec![1.0; 2]).unwrap();
+        assert_eq!(line.frames.len(), 100_001);
     }
 
     #[test]

@@ -10,4 +10,5 @@
 mod frames;
 mod meshes;
 mod mutate;
+mod recordings;
 mod settings;

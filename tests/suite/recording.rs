@@ -2,6 +2,7 @@
 
 use crate::support::shared;
 use glam::{DQuat, DVec2, DVec3};
+use hdf5_pure::{AttrValue, FileBuilder};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::CylinderModel;
 use lumenmesh::recording::{Frame, Recording};
@@ -10,8 +11,8 @@ use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 use std::process::Command;
 
-/// Frames with ragged contours, missing echoes, times and cylinders on some of them, and in one of three recordings
-/// numbers with gaps.
+/// Frames with ragged contours, missing echoes, times and cylinders on some of them, and in one of three
+/// recordings numbers with gaps.
 fn some_recording(seed: u64) -> Recording {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (frames, rays) = (random.random_range(1..30), random.random_range(0..40));
@@ -212,6 +213,149 @@ fn files_that_octave_writes_are_read() {
     assert_eq!(model.cylinder.unwrap().radius_mm, 7.0);
 }
 
+/// Octave code that turns the good recording's frames.
+const TURNED: &str = "for k = 1:4, a = 0.3 * k; c = cos(a); s = sin(a); \
+    rotm(:, :, k) = [c -s 0; s c 0; 0 0 1]; q(k, :) = [cos(a / 2) 0 0 sin(a / 2)]; \
+    tf(:, :, k) = [rotm(:, :, k) Ep(k, :)'; 0 0 0 1]; \
+    xy{k} = [x_data(k, :)' y_data(k, :)']; yx{k} = [x_data(k, :); y_data(k, :)]; end; P = Ep; X = x_data; Y = y_data; \
+    R = rotm; clear a c s k;";
+
+#[test]
+fn arrays_that_others_arrange_otherwise_are_read() {
+    let kept = "Ep = P; x_data = X; y_data = Y; clear R P X Y tf q xy yx";
+    let cases = [
+        "rec.rotm = R; rec.Ep = P; rec.x_data = X; rec.y_data = Y; clear rotm Ep x_data y_data",
+        "s.pose.rotm = R; s.pose.Ep = P; s.note = 'a'; s.image.x_data = X; s.more = {1, 'b', {2}}; y_data = Y; \
+         clear rotm Ep x_data",
+        "Ep = P'; rotm = permute(R, [3 1 2]); x_data = X'; y_data = Y'",
+        "quat_wxyz = q; clear rotm",
+        "quat_xyzw = q(:, [2 3 4 1])'; clear rotm",
+        "wTe = tf; clear rotm Ep",
+        "poses = permute(tf, [3 1 2]); clear rotm Ep",
+        "T = permute(tf, [2 1 3]); clear rotm Ep",
+        "x_data = num2cell(X, 2); y_data = num2cell(Y, 2)'",
+        "contours = xy; clear x_data y_data",
+        "rec.contours = yx'; clear x_data y_data",
+        "valid = true(4, 1); status = {'OK'; 'OK'; 'TOOL_OK'; 'ok'}",
+        // What else may be named as ours is left alone.
+        "status = 'done'; T = 300; ok = 1; pose = {1}",
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let mut code = format!("{GOOD} {TURNED} save -v7 plain.mat rotm Ep x_data y_data; ");
+    for (i, change) in cases.iter().enumerate() {
+        let rest = if change.contains("T = 3") { kept } else { "clear R P X Y tf q xy yx" };
+        code +=
+            &format!("clear all; {GOOD} {TURNED} {change}; {rest}; save -v7 c{i}.mat; save -v6 d{i}.mat; ");
+    }
+    code += &format!(
+        "clear all; {GOOD} {TURNED} quat_wxyz = q; text = 'abc'; save -v4 v4.mat quat_wxyz Ep x_data y_data text"
+    );
+    if octave(folder.path(), &code).is_none() {
+        return;
+    }
+    let plain = Recording::read(&folder.path().join("plain.mat")).unwrap();
+    assert!((plain.frames[2].world_from_sensor.rotation.x_axis.y - 0.9_f64.sin()).abs() < 1e-15);
+    let same = |name: String| {
+        let recording = Recording::read(&folder.path().join(&name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert_eq!(difference(&plain, &recording, 1e-12), None, "{name}");
+    };
+    for (i, _) in cases.iter().enumerate() {
+        same(format!("c{i}.mat"));
+        same(format!("d{i}.mat"));
+    }
+    same("v4.mat".into());
+}
+
+#[test]
+fn ragged_contours_and_lost_poses_are_read_from_cells_and_flags() {
+    let folder = tempfile::tempdir().unwrap();
+    let code = format!(
+        "{GOOD} contours = {{[1 2; 3 4; 5 6], [], [7 8], zeros(0, 2)}}; clear x_data y_data; save -v7 points.mat; \
+         clear contours; x_data = {{[1 3 5], [], 7, zeros(1, 0)}}; y_data = {{[2; 4; 6], [], 8, []}}; save -v7 vectors.mat; \
+         valid = [1 0 1 1]; status = {{'OK', 'OK', 'OK', 'OUT_OF_VIEW'}}; save -v7 lost.mat; \
+         valid = logical(valid); clear status; rotm = round(rotm * 100) / 100; rotm(:, :, 3) = [.8 -.6 0; .6 .803 0; 0 0 1]; \
+         save -v7 rounded.mat"
+    );
+    if octave(folder.path(), &code).is_none() {
+        return;
+    }
+    let read = |name: &str| Recording::read_unchecked(&folder.path().join(name)).unwrap();
+    let points = read("points.mat");
+    let expected = [
+        vec![DVec2::new(1.0, 2.0), DVec2::new(3.0, 4.0), DVec2::new(5.0, 6.0)],
+        vec![],
+        vec![DVec2::new(7.0, 8.0)],
+        vec![],
+    ];
+    assert!(points.frames.iter().map(|f| &f.contour_mm).eq(&expected));
+    assert_eq!(difference(&points, &read("vectors.mat"), 0.0), None);
+    assert_eq!(lost(&read("lost.mat")), [1, 3]);
+    let rounded = read("rounded.mat");
+    assert_eq!(lost(&rounded), [1]);
+    let frame = &rounded.frames[2];
+    // 0.803² + 0.6² − 1.
+    assert!((frame.rotation_error.unwrap() - 4.809e-3).abs() < 1e-12);
+    assert!(frame.world_from_sensor.orthogonality_error() < 1e-15);
+    assert!((frame.world_from_sensor.rotation.x_axis.y - 0.6).abs() < 2e-3);
+    assert!(rounded.frames[0].rotation_error.is_none());
+    let said = lumenmesh::recording::Summary::of(&rounded).to_string();
+    assert!(said.contains("rotations       1 made orthonormal"), "{said}");
+}
+
+#[test]
+fn arrays_that_can_be_read_in_two_ways_are_refused() {
+    let cases = [
+        (
+            "quat = q; clear rotm",
+            "quat: found quaternions in an order that the name does not state, expected the name quat_wxyz",
+        ),
+        (
+            "Ep = Ep'; x_data = X(:, 1:4); y_data = Y(:, 1:4)",
+            "x_data: found 4x4, which can be read in two ways, beside Ep, which is transposed",
+        ),
+        (
+            "contours = {eye(2), eye(2), [], eye(2)}; clear x_data y_data",
+            "contours{4}: found 2x2, expected a cell that tells",
+        ),
+        (
+            "contours = {ones(3, 2), ones(2, 3), [], []}; clear x_data y_data",
+            "contours{2}: found 2x3, expected Mx2, as in",
+        ),
+        ("contours = {1, 2, 3, ones(4)}; clear x_data y_data", "contours{1}: found 1x1, expected Mx2 or 2xM"),
+        ("contours = {'a', 2, 3, 4}; clear x_data y_data", "contours{1}: found text, expected cells of Mx2"),
+        ("contours = {1, 2, 3}; clear x_data y_data", "contours: found 3 cells, expected 4, one per frame"),
+        (
+            "x_data = {1, 2, 3, 4}; y_data = {1, [1 2], 3, 4}",
+            "y_data{2}: found 2 numbers, expected 1 (as x_data)",
+        ),
+        ("x_data = {1, 2, eye(3), 4}; y_data = {1, 2, 3, 4}", "x_data{3}: found 3x3, expected a vector"),
+        ("a.rotm = b.rotm = R; clear rotm", "rotm: found a.rotm, b.rotm, expected one variable of that name"),
+        (
+            "wTe = tf; wTe(4, 2, 3) = 1; clear rotm Ep",
+            "wTe: found a transform whose last row is not 0, 0, 0, 1",
+        ),
+        (
+            "wTe = repmat(eye(4), [1 1 5]); clear rotm Ep",
+            "wTe: found transforms without a translation, expected",
+        ),
+        ("T = 300; clear rotm", "T: found 1x1, expected 4x4xF, one transform per frame"),
+        ("frame_number = [1 2 2 3]", "frame_number(3): found 2, expected whole numbers that rise"),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let mut code = String::new();
+    for (i, (change, _)) in cases.iter().enumerate() {
+        code += &format!("clear all; {GOOD} {TURNED} {change}; save -v7 bad{i}.mat; ");
+    }
+    if octave(folder.path(), &code).is_none() {
+        return;
+    }
+    for (i, (change, expected)) in cases.iter().enumerate() {
+        let message =
+            Recording::read(&folder.path().join(format!("bad{i}.mat"))).expect_err(change).to_string();
+        assert!(message.contains(expected), "{change}: {message}");
+    }
+}
+
 #[test]
 fn scipy_and_we_read_each_others_files() {
     let folder = tempfile::tempdir().unwrap();
@@ -233,11 +377,20 @@ fn scipy_and_we_read_each_others_files() {
 #[test]
 fn bad_mat_variables_are_named_with_what_was_expected() {
     let cases = [
-        ("clear Ep", "Ep: found no variable of that name, expected rotm, Ep, x_data and y_data"),
+        (
+            "clear Ep",
+            "Ep: found no variable of that name among rotm, x_data, y_data, expected rotm, Ep, x_data and y_data",
+        ),
         ("clear y_data", "y_data: found no variable of that name"),
-        ("Ep = Ep'", "Ep: found 3x4, expected Fx3"),
-        ("rotm = rotm(:, :, 1:3)", "rotm: found 3x3x3, expected 3x3x4 (Ep is 4x3)"),
-        ("x_data = x_data'", "x_data: found 5x4, expected 4xM (Ep is 4x3)"),
+        (
+            "rec.rot = rotm; clear rotm",
+            "rotm: found no variable of that name among Ep, rec (rot), x_data, y_data",
+        ),
+        ("clear all; a.b.c = d = 1", "Ep: found no variable of that name among a (b (c)), d, expected"),
+        ("Ep = Ep(:, 1:2)", "Ep: found 4x2, expected Fx3"),
+        ("rotm = rotm(:, :, 1:3)", "rotm: found 3x3x3, expected 3x3x4, for 4 frames"),
+        ("x_data = x_data'", "y_data: found 4x5, expected 5x4 (as x_data)"),
+        ("x_data = x_data(1:3, :)", "x_data: found 3x5, expected 4xM, for 4 frames"),
         ("y_data = y_data(:, 1:4)", "y_data: found 4x4, expected 4x5 (as x_data)"),
         ("x_data = x_data * i", "x_data: found complex numbers, expected a full array of real numbers"),
         ("rotm = {rotm}", "rotm: found a cell array, expected"),
@@ -295,15 +448,109 @@ fn files_that_are_no_mat_files_say_what_they_are() {
     hdf5.extend(b"\x89HDF\r\n\x1a\n");
     for content in [hdf5.as_slice(), b"\x89HDF\r\n\x1a\n and so on"] {
         let said = message("v73.mat", content);
-        assert!(said.contains("format: found version 7.3 (HDF5), expected"), "{said}");
+        assert!(said.contains("v73.mat: format: found"), "{said}");
         assert!(said.contains("save with -v7"), "{said}");
     }
     assert!(message("empty.mat", b"").contains("found an empty file"));
     assert!(message("noise.mat", &[7; 300]).contains("found a file without the header of one"));
-    assert!(message("text.mat", b"# Created by Octave 9.2.0").contains("Octave's own format"));
+    for (content, expected) in [
+        (
+            b"# Created by Octave 9.2.0".as_slice(),
+            "found a file of Octave's own text format, expected a MAT-file (in",
+        ),
+        (b"Octave-1-L\0", "found a file of Octave's own binary format"),
+        (b"\x1f\x8b\x08\0\0\0\0\0", "found a file compressed by gzip (unpack it first)"),
+        (b"PK\x03\x04", "found a zip archive"),
+    ] {
+        let said = message("other.mat", content);
+        assert!(said.contains(expected), "{said}");
+    }
     assert!(message("rec.npz", b"PK").contains("unknown ending \"npz\", expected one of mat"));
     let absent = Recording::read(&folder.path().join("absent.mat")).unwrap_err().to_string();
     assert!(absent.contains("absent.mat: cannot read: "), "{absent}");
+}
+
+/// A dataset as MATLAB writes it: the sizes in reverse order, and what it is in an attribute.
+fn dataset(builder: &mut hdf5_pure::DatasetBuilder, class: &str, shape: &[u64]) {
+    let reversed: Vec<u64> = shape.iter().rev().copied().collect();
+    builder.with_shape(&reversed).set_attr("MATLAB_class", AttrValue::AsciiString(class.into()));
+}
+
+/// A file of version 7.3 of two frames: a struct, an array in chunks, a cell array, an empty array, and a
+/// variable that nobody asked for.
+fn version_7_3() -> Vec<u8> {
+    let mut file = FileBuilder::new();
+    file.with_userblock(512).with_userblock_content(b"MATLAB 7.3 MAT-file, Platform: GLNXA64");
+    let mut rec = file.create_group("rec");
+    rec.set_attr("MATLAB_class", AttrValue::AsciiString("struct".into()));
+    // A turn by a quarter about z, and none.
+    let quarter = [0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    dataset(rec.create_dataset("rotm").with_f64_data(&quarter).with_deflate(3), "double", &[3, 3, 2]);
+    dataset(rec.create_dataset("Ep").with_f32_data(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), "single", &[2, 3]);
+    file.add_group(rec.finish());
+    let mut cells = file.create_group("#refs#");
+    dataset(cells.create_dataset("a").with_f64_data(&[1.0, 3.0, 5.0, 2.0, 4.0, 6.0]), "double", &[3, 2]);
+    dataset(cells.create_dataset("b").with_f64_data(&[7.0, 8.0]), "double", &[1, 2]);
+    file.add_group(cells.finish());
+    dataset(
+        file.create_dataset("contours").with_path_references(&["/#refs#/a", "/#refs#/b"]),
+        "cell",
+        &[1, 2],
+    );
+    dataset(file.create_dataset("valid").with_u8_data(&[0, 1]), "logical", &[2, 1]);
+    dataset(file.create_dataset("image").with_u8_data(&[7; 24]), "uint8", &[2, 3, 4]);
+    let empty = file.create_dataset("time_s").with_u64_data(&[0, 0]);
+    empty.set_attr("MATLAB_empty", AttrValue::U64(1));
+    dataset(empty, "double", &[2]);
+    file.finish().unwrap()
+}
+
+#[test]
+fn version_7_3_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rec.mat");
+    std::fs::write(&path, version_7_3()).unwrap();
+    let recording = Recording::read_unchecked(&path).unwrap();
+    assert_eq!(lost(&recording), [0]);
+    let [first, second] = &recording.frames[..] else { panic!("two frames") };
+    assert_eq!(first.contour_mm, [DVec2::new(1.0, 2.0), DVec2::new(3.0, 4.0), DVec2::new(5.0, 6.0)]);
+    assert_eq!(second.contour_mm, [DVec2::new(7.0, 8.0)]);
+    assert_eq!(
+        second.world_from_sensor,
+        Pose { translation_mm: DVec3::new(2.0, 4.0, 6.0), ..Pose::IDENTITY }
+    );
+    assert_eq!(second.time_s, None);
+
+    let whole = version_7_3();
+    for length in 0..whole.len() {
+        std::fs::write(&path, &whole[..length]).unwrap();
+        let read = Recording::read_unchecked(&path);
+        assert!(read.is_err() || length + 100 > whole.len(), "cut at {length}");
+    }
+}
+
+#[test]
+fn what_version_7_3_cannot_say_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rec.mat");
+    let message = |change: &dyn Fn(&mut FileBuilder)| {
+        let mut file = FileBuilder::new();
+        change(&mut file);
+        std::fs::write(&path, file.finish().unwrap()).unwrap();
+        Recording::read_unchecked(&path).unwrap_err().to_string()
+    };
+    // Another program's arrays are in rows, so that each rotation would be read as its inverse.
+    let said = message(&|file| {
+        file.create_dataset("rotm").with_f64_data(&[0.0; 18]).with_shape(&[2, 3, 3]);
+    });
+    assert!(
+        said.contains("rotm: found a dataset that MATLAB has not written (it has no MATLAB_class)"),
+        "{said}"
+    );
+    let said = message(&|file| {
+        dataset(file.create_dataset("Ep").with_f64_data(&[0.0; 6]).with_shape(&[2, 3]), "double", &[2, 3]);
+    });
+    assert!(said.contains("rotm: found no variable of that name"), "{said}");
 }
 
 #[test]
@@ -359,7 +606,7 @@ fn bad_csv_lines_are_named_with_what_was_expected() {
     let contours = "frame,x_mm,y_mm\n3,1,1\n4,2,2\n";
     let cylinders = "frame,px_mm,py_mm,theta_rad,phi_rad,radius_mm\n3,0,0,1,1,1\n";
     let cases = [
-        ("poses", "x_mm,y_mm", "x,y_mm", "poses.csv: x_mm: found columns frame, x, y_mm"),
+        ("poses", "x_mm,y_mm", "x_px,y_mm", "poses.csv: x_mm: found columns frame, x_px, y_mm"),
         ("poses", "x_mm,y_mm", "x_mm,x_mm", "poses.csv: x_mm: found two columns of that name, expected one"),
         ("poses", "4,0", "3,0", "poses.csv: line 3: frame: found 3, expected a number above 3"),
         ("poses", "4,0", "2,0", "poses.csv: line 3: frame: found 2, expected a number above 3"),
@@ -377,7 +624,7 @@ fn bad_csv_lines_are_named_with_what_was_expected() {
             "poses",
             "4,0,0,0,0,0,0,1",
             "4,0,0,0,0",
-            "poses.csv: line 3: qy: found a line of 5 fields, expected at least 6",
+            "poses.csv: line 3: found 5 fields, expected 8, one for each column name",
         ),
         (
             "poses",
@@ -528,7 +775,7 @@ fn a_pose_that_the_tracker_did_not_report_is_lost() {
             "0,0,9,0,0,0,1,ERR42",
             "poses.csv: line 4: status: found \"ERR42\", expected OK, or MISSING",
         ),
-        ("ok", "0,0,9,0,0,0,1,maybe", "poses.csv: line 4: status: found \"maybe\", expected OK, or MISSING"),
+        ("ok", "0,0,9,0,0,0,1,maybe", "poses.csv: line 4: ok: found \"maybe\", expected OK, or MISSING"),
         (
             "status",
             "0,0,9,0,0,0,1,3",
@@ -537,6 +784,43 @@ fn a_pose_that_the_tracker_did_not_report_is_lost() {
     ] {
         let message =
             read(&poses_with(header, &[(9, line), (10, "0,0,9,0,0,0,1,4")])).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+}
+
+#[test]
+fn contours_may_have_one_line_for_each_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let poses = "frame,x_mm,y_mm,z_mm,qx,qy,qz,qw\n3,0,0,0,0,0,0,1\n4,0,0,0,0,0,0,1\n";
+    let read = |contours: &str| {
+        write_csv(folder.path(), poses, contours, None);
+        Recording::read(folder.path()).map_err(|e| e.to_string())
+    };
+    let long = read("frame,x_mm,y_mm\n3,1,2\n3,3,4\n3,,\n4,5,6\n4,7,8\n4,9,10\n").unwrap();
+    for wide in [
+        "frame,x0,y0,x1,y1,x2,y2\n3,1,2,3,4,,\n4,5,6,7,8,9,10\n",
+        "frame,x_1,x_2,x_3,y_1,y_2,y_3\n3,1,3,NaN,2,4,NaN\n4,5,7,9,6,8,10\n",
+        "y[0] (cm);x[0] (cm);y[1] (cm);x[1] (cm);y[2] (cm);x[2] (cm);frame\n,2;,1;,4;,3;;;3\n,6;,5;,8;,7;1;,9;4\n",
+        "frame\tx2_mm\ty2_mm\tx10_mm\ty10_mm\tx11_mm\ty11_mm\n3\t1\t2\t3\t4\t\t\n4\t5\t6\t7\t8\t9\t10\n",
+    ] {
+        assert_eq!(difference(&long, &read(wide).unwrap(), 0.0), None, "{wide}");
+    }
+    for (contours, expected) in [
+        (
+            "frame,x0,y0,x1\n3,1,2,3\n",
+            "contours.csv: columns: found 2 columns of x and 1 of y, expected as many of each",
+        ),
+        (
+            "frame,x0,y0\n3,1,2\n3,1,2\n",
+            "contours.csv: line 3: frame: found a second line for this frame, expected one",
+        ),
+        (
+            "frame,x0,y0,x00,y1\n3,1,2,3,4\n",
+            "contours.csv: x_mm: found two columns of one number, expected one of each",
+        ),
+        ("frame,x0,y0\n3,1,\n", "contours.csv: frame 3: contour: found (1, NaN) at point 0"),
+    ] {
+        let message = read(contours).unwrap_err();
         assert!(message.contains(expected), "{message}");
     }
 }

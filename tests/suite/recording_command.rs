@@ -163,7 +163,7 @@ fn bad_data_is_status_1_and_bad_usage_status_2() {
         (vec!["import", "pullback", "absent.csv", "-o", "rec.mat"], "lumenmesh: absent.csv: cannot read"),
         (
             vec!["import", "pullback", "bad.csv", "-o", "rec.mat"],
-            "bad.csv: line 2: y: found \"x\", expected a number",
+            "bad.csv: line 2: y_mm: found \"x\", expected a number",
         ),
     ] {
         let (status, out, said) = lumenmesh(&arguments, folder.path());
@@ -202,6 +202,7 @@ fn a_pullback_becomes_frames_by_rising_position_about_one_origin() {
     std::fs::write(&path, pullback_text()).unwrap();
     let pullback = Pullback::read(&path, None, None).unwrap();
     assert_eq!(pullback.frame_numbers, [12, 40, 90, 385]);
+    assert_eq!((0..4).map(|k| pullback.recording.number(k)).collect::<Vec<_>>(), [12, 40, 90, 385]);
     assert_eq!(pullback.positions_mm, [1.0, 3.0, 5.0, 7.0]);
     assert!(pullback.centre_mm.abs_diff_eq(DVec2::new(4.0, 5.0), 1e-12));
     for (frame, z) in pullback.recording.frames.iter().zip([1.0, 3.0, 5.0, 7.0]) {
@@ -253,6 +254,46 @@ fn a_pullback_along_a_centreline_follows_it_without_roll() {
 }
 
 #[test]
+fn a_remark_with_a_lone_quote_takes_no_points_away() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("contours.tsv");
+    std::fs::write(&path, pullback_text()).unwrap();
+    let pullback = Pullback::read(&path, None, None).unwrap();
+    let mut text = "frame\tx\ty\tz\tremark\n".to_owned();
+    for (i, line) in pullback_text().lines().enumerate() {
+        text += &format!("{line}\t{}\n", if i == 20 { "\"calcium" } else { "" });
+    }
+    for text in [text.clone(), text.replace('\t', ","), text.replace('\t', ";").replace('\n', "\r")] {
+        std::fs::write(&path, &text).unwrap();
+        assert_eq!(Pullback::read(&path, None, None).unwrap(), pullback, "{text}");
+    }
+}
+
+#[test]
+fn decimal_commas_among_commas_are_refused_or_quoted() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("line.csv");
+    let read = |quote: &str| {
+        let number = |x: f64| format!("{quote}{x:.2}{quote}").replace('.', ",");
+        let point = |i: i32| format!("{},{},{}\n", number(0.5 * f64::from(i)), number(1.0), number(-2.0));
+        std::fs::write(&path, format!("x,y,z\n{}", (0..20).map(point).collect::<String>())).unwrap();
+        PullbackPath::read(&path)
+    };
+    assert!((read("\"").unwrap().length_mm() - 9.5).abs() < 1e-9);
+    let said = read("").unwrap_err().to_string();
+    assert!(
+        said.ends_with("line.csv: line 2: found 6 fields, expected 3, one for each column name"),
+        "{said}"
+    );
+    std::fs::write(&path, "60,00,3,00,1,00\n61,50,3,00,1,00\n").unwrap();
+    let said = PullbackPath::read(&path).unwrap_err().to_string();
+    assert!(
+        said.contains("line.csv: lines: found 6 fields without a decimal point in any, expected 3: "),
+        "{said}"
+    );
+}
+
+#[test]
 fn a_pullback_that_cannot_be_placed_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let (path, line) = (folder.path().join("contours.tsv"), folder.path().join("line.csv"));
@@ -274,12 +315,16 @@ fn a_pullback_that_cannot_be_placed_is_refused() {
     let said = refused(&good, "0,0,0\n0,0,0\n");
     assert!(said.ends_with("line.csv: centreline: found 1 different points, expected at least 2"), "{said}");
     let said = refused(&good, "0,0,0\n0,nan,0\n");
-    assert!(said.ends_with("line.csv: line 2: y: found \"nan\", expected a number"), "{said}");
+    assert!(said.ends_with("line.csv: line 2: y_mm: found \"nan\", expected a number"), "{said}");
     let line = "0,0,0\n0,0,50\n";
     let said = refused("1\t2\t3\t0\n1\t2\t4\t0.5\n", line);
-    assert!(said.ends_with("line 2: z: found 0.5, expected 0 (as before in frame 1)"), "{said}");
+    assert!(said.ends_with("line 2: z_mm: found 0.5, expected 0 (as before in frame 1)"), "{said}");
+    let half = good.replace("385\t4\t6.5\t7", "385\t4\tna\t7");
+    assert_ne!(half, good);
+    let said = refused(&half, "0,0,0\n0,0,50\n");
+    assert!(said.contains("contours.tsv: frame 385: contour: found ("), "{said}");
     let said = refused("1\t2\t3\n", line);
-    assert!(said.ends_with("line 1: z: found a line of 3 fields, expected at least 4"), "{said}");
+    assert!(said.ends_with("line 1: z_mm: found a line of 3 fields, expected at least 4"), "{said}");
     let said = refused("", line);
     assert!(said.ends_with("contours: found no lines, expected at least one contour"), "{said}");
     let said = refused("1\t2\t3\t0\n1\t2\t4\t0\n", line);

@@ -452,7 +452,9 @@ fn centreline_files_read_back_equal_or_are_refused_with_a_reason() {
         std::fs::write(&path, text).unwrap();
         Centreline::read_branches(&path).unwrap_err().to_string()
     };
-    assert!(message("branch,x_mm,y_mm,z_mm\n0,1,2,3\n").contains("missing field `r_inscribed_mm`"));
+    let lacking = message("branch,x_mm,y_mm,z_mm\n0,1,2,3\n");
+    assert!(lacking.contains("r_inscribed_mm: found columns branch, x_mm, y_mm, z_mm"), "{lacking}");
+    assert!(message("0,1,2,3,4\n").contains("branch: found no line of column names"));
     assert!(message("branch,x_mm,y_mm,z_mm,r_inscribed_mm\n").contains("rows: found none"));
     let branches = phantom("bifurcation").branches().to_vec();
     let written = folder.path().join("written.csv");
@@ -461,7 +463,7 @@ fn centreline_files_read_back_equal_or_are_refused_with_a_reason() {
     let one = message("branch,x_mm,y_mm,z_mm,r_inscribed_mm\n4,1,2,3,1\n");
     assert!(one.contains("branch 4: centreline: found 1 points"), "{one}");
     let word = message("branch,x_mm,y_mm,z_mm,r_inscribed_mm\n0,1,2,3,1\n0,here,2,3,1\n");
-    assert!(word.contains("line: 3"), "{word}");
+    assert!(word.contains("line 3: x_mm: found \"here\", expected a number"), "{word}");
 }
 
 #[test]

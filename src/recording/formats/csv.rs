@@ -3,22 +3,22 @@
 //! | file | columns |
 //! |---|---|
 //! | `poses.csv` | `frame,time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw`: the tracker sensor in the world; `time_s` may be absent or empty |
-//! | `contours.csv` | `frame,x_mm,y_mm`, one line per ray; empty or NaN: no echo |
+//! | `contours.csv` | `frame,x_mm,y_mm`, one line per ray, or `frame,x0_mm,y0_mm,x1_mm,…`, one per frame; empty: no echo |
 //! | `cylinders.csv` | `frame,px_mm,py_mm,theta_rad,phi_rad,radius_mm`, where there are models |
 //!
-//! Columns are found by name, others are ignored. Frame numbers rise in `poses.csv` and may leave gaps. A pose is
-//! [lost](Pose::LOST) where one of its numbers is missing, where a [status](StatusColumn) says so, and where a frame of
-//! `contours.csv` has no line in `poses.csv`.
+//! Columns are found by name, others are ignored. Frame numbers rise in `poses.csv` and may leave gaps. A pose
+//! is [lost](Pose::LOST) where one of its numbers is missing, where a [status](StatusColumn) says so, and where
+//! a frame of `contours.csv` has no line in `poses.csv`.
 
-use super::rising_numbers;
 use super::status::StatusColumn;
 use super::table::{Column, Table, TableRow};
+use super::{rising_numbers, rotation};
 use crate::geometry::Pose;
 use crate::output::{Unfinished, folder_of, lock, permissions_of_new, write_atomically};
 use crate::recording::CylinderModel;
 use crate::recording::{Frame, Recording};
 use crate::{Error, Result};
-use glam::{DMat3, DQuat, DVec2, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::Path;
@@ -27,30 +27,16 @@ const POSES: &str = "poses.csv";
 const CONTOURS: &str = "contours.csv";
 const CYLINDERS: &str = "cylinders.csv";
 
-/// Quaternions this far from unit length are rounded ones.
-const UNIT_TOLERANCE: f64 = 1e-3;
-
 pub(in crate::recording) fn read(folder: &Path) -> Result<Recording> {
     let _unchanged = locked(folder, Use::Read);
     let mut frames = read_poses(&folder.join(POSES))?;
 
-    let mut contours = Table::open(&folder.join(CONTOURS))?;
-    let frame_column = contours.column("frame")?;
-    let [x, y] = columns(&contours, ["x_mm", "y_mm"])?;
-    while let Some(row) = contours.next_row()? {
-        let number = contours.count(&row, frame_column)?;
-        let value =
-            |column| -> Result<f64> { Ok(contours.optional_number(&row, column)?.unwrap_or(f64::NAN)) };
-        let point = DVec2::new(value(x)?, value(y)?);
-        let frame = frames.entry(number).or_insert_with(|| Frame::new(Pose::LOST, Vec::new()));
-        frame.contour_mm.push(point);
-    }
-
+    read_contours(&folder.join(CONTOURS), &mut frames)?;
     if folder.join(CYLINDERS).exists() {
         let mut cylinders = Table::open(&folder.join(CYLINDERS))?;
         let frame_column = cylinders.column("frame")?;
         let names = ["px_mm", "py_mm", "theta_rad", "phi_rad", "radius_mm"];
-        let [px, py, theta, phi, radius] = columns(&cylinders, names)?;
+        let [px, py, theta, phi, radius] = cylinders.columns(names, 0)?;
         while let Some(row) = cylinders.next_row()? {
             let number = cylinders.count(&row, frame_column)?;
             let frame = frames.get_mut(&number).ok_or_else(|| {
@@ -69,7 +55,8 @@ pub(in crate::recording) fn read(folder: &Path) -> Result<Recording> {
             }
         }
     }
-    let place = |(k, (number, frame)): (usize, (usize, Frame))| {
+    let place = |(k, (number, mut frame)): (usize, (usize, Frame))| {
+        frame.orthonormalise();
         frame.with_number(Some(number).filter(|&number| number != k))
     };
     Ok(Recording { frames: frames.into_iter().enumerate().map(place).collect() })
@@ -80,7 +67,7 @@ fn read_poses(path: &Path) -> Result<BTreeMap<usize, Frame>> {
     let mut table = Table::open(path)?;
     let frame_column = table.column("frame")?;
     let time = table.optional_column("time_s")?;
-    let columns = columns(&table, ["x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"])?;
+    let columns = table.columns(["x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"], 0)?;
     let mut statuses = StatusColumn::all(&table);
     let mut frames = BTreeMap::new();
     while let Some(row) = table.next_row()? {
@@ -104,8 +91,38 @@ fn read_poses(path: &Path) -> Result<BTreeMap<usize, Frame>> {
     Ok(frames)
 }
 
+/// Adds contours to the frames: a line per point, or a line per frame with the columns `x0`, `y0`, `x1`, … in
+/// any order.
+fn read_contours(path: &Path, frames: &mut BTreeMap<usize, Frame>) -> Result<()> {
+    let mut table = Table::open(path)?;
+    let frame_column = table.column("frame")?;
+    let [xs, ys] = [table.numbered_columns("x_mm")?, table.numbered_columns("y_mm")?];
+    let is_wide = !xs.is_empty() && table.optional_column("x_mm")?.is_none();
+    let columns: Vec<[Column; 2]> = match is_wide {
+        true if xs.len() != ys.len() => {
+            let found = format!("{} columns of x and {} of y", xs.len(), ys.len());
+            return Err(Error::input(path, "columns", found, "as many of each"));
+        }
+        true => xs.into_iter().zip(ys).map(|(x, y)| [x, y]).collect(),
+        false => vec![table.columns(["x_mm", "y_mm"], 0)?],
+    };
+    while let Some(row) = table.next_row()? {
+        let number = table.count(&row, frame_column)?;
+        let frame = frames.entry(number).or_insert_with(|| Frame::new(Pose::LOST, Vec::new()));
+        if is_wide && !frame.contour_mm.is_empty() {
+            return Err(table.fault(&row, frame_column, "a second line for this frame", "one"));
+        }
+        for &[x, y] in &columns {
+            let value =
+                |column| -> Result<f64> { Ok(table.optional_number(&row, column)?.unwrap_or(f64::NAN)) };
+            frame.contour_mm.push(DVec2::new(value(x)?, value(y)?));
+        }
+    }
+    Ok(())
+}
+
 /// The pose in a line: position, then quaternion. Where one of its numbers is missing, it is lost.
-fn pose(table: &Table, row: &TableRow, columns: &[Column<'_>; 7]) -> Result<Pose> {
+fn pose(table: &Table, row: &TableRow, columns: &[Column; 7]) -> Result<Pose> {
     let mut numbers = [Some(0.0); 7];
     for (number, &column) in numbers.iter_mut().zip(columns) {
         *number = table.optional_number(row, column)?;
@@ -125,25 +142,6 @@ pub(super) fn file_of(field: &str) -> &'static str {
         "cylinder" | "cylinder radius" => CYLINDERS,
         _ => POSES,
     }
-}
-
-fn columns<const N: usize>(table: &Table, names: [&'static str; N]) -> Result<[Column<'static>; N]> {
-    let mut found = [Column { index: 0, name: "" }; N];
-    for (column, name) in found.iter_mut().zip(names) {
-        *column = table.column(name)?;
-    }
-    Ok(found)
-}
-
-/// A rotation from a quaternion that may be rounded. A quaternion of any other norm n gives axes of length n²,
-/// which [`Frame::defects`] reports.
-fn rotation(q: DQuat) -> DMat3 {
-    let norm = q.length();
-    if norm == 0.0 {
-        return DMat3::ZERO;
-    }
-    let unit = DMat3::from_quat(q / norm);
-    if (norm - 1.0).abs() <= UNIT_TOLERANCE { unit } else { unit * (norm * norm) }
 }
 
 /// A new folder is created as a whole. In an existing folder each of the three files is replaced as a whole.

@@ -1,11 +1,11 @@
 //! What trackers say about their poses, beside the poses.
 
-use super::table::{Column, Table, TableRow, is_missing};
+use super::table::{Column, Table, TableRow, is_missing, quoted};
 use crate::Result;
 
 /// A column that says whether the tracker saw its sensor.
 pub(super) struct StatusColumn {
-    column: Column<'static>,
+    column: Column,
     kind: Kind,
     /// The number in the lines before, where there was one.
     number: Option<f64>,
@@ -35,7 +35,8 @@ impl Kind {
     }
 }
 
-/// Words of a tracker that saw its sensor, and of one that did not: those of PLUS and of NDI's tools, and plain ones.
+/// Words of a tracker that saw its sensor, and of one that did not: those of PLUS and of NDI's tools, and plain
+/// ones.
 const SEEN: [&str; 10] =
     ["ok", "good", "valid", "tracked", "tracking", "visible", "enabled", "normal", "true", "yes"];
 const LOST: [&str; 32] = [
@@ -91,12 +92,7 @@ fn letters(text: &str) -> String {
 impl StatusColumn {
     /// The status columns of a table.
     pub fn all(table: &Table) -> Vec<Self> {
-        let columns = table.header().iter().enumerate();
-        let status = |(index, header): (usize, &String)| {
-            let kind = Kind::of(header)?;
-            Some(Self { column: Column { index, name: "status" }, kind, number: None })
-        };
-        columns.filter_map(status).collect()
+        table.columns_where(Kind::of).map(|(column, kind)| Self { column, kind, number: None }).collect()
     }
 
     /// Whether a line says that the sensor was lost.
@@ -117,7 +113,7 @@ impl StatusColumn {
             }
             (None, _, Kind::Remark) => Ok(false),
             (None, Err(_), _) => {
-                Err(table.fault(row, self.column, format!("{field:?}"), "OK, or MISSING, INVALID, LOST, …"))
+                Err(table.fault(row, self.column, quoted(field), "OK, or MISSING, INVALID, LOST, …"))
             }
         }
     }

@@ -1,38 +1,14 @@
-//! Reader and writer of MAT-files of level 5 (MATLAB versions 5 to 7) with named arrays of real numbers.
+//! Reader and writer of MAT-files of level 5 (MATLAB versions 5 to 7).
 //!
 //! Own code, because neither crate for it is safe on bad input: matrw 0.1.4 panics on damaged deflate streams
-//! (and refuses SciPy's header), matfile 0.5.0 reads a truncated file as one with fewer variables and prints to stdout.
-//! Layout: *MAT-File Format*, The MathWorks, chapter 1 ("MAT-File Level 5"). Memory stays in proportion to the file: an
-//! array is allocated only as its bytes arrive, and deflate expands at most 1032 times.
+//! (and refuses SciPy's header), matfile 0.5.0 reads a truncated file as one with fewer variables and prints to
+//! stdout. Layout: *MAT-File Format*, The MathWorks, chapter 1 ("MAT-File Level 5").
 
+use super::{Array, Budget, ByteOrder, Fields, MAX_BYTES, MAX_DEPTH, Stored, Value, count, numbers, text};
 use crate::{Error, Result};
 use flate2::read::ZlibDecoder;
-use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 use std::path::Path;
-
-/// A real array, its values in column-major order.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Array {
-    pub shape: Vec<usize>,
-    pub values: Vec<f64>,
-}
-
-impl Array {
-    /// The shape as MATLAB prints it: `3x3x1000`.
-    pub fn shape_text(&self) -> String {
-        let sizes: Vec<String> = self.shape.iter().map(usize::to_string).collect();
-        sizes.join("x")
-    }
-}
-
-/// The value of a variable.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) enum Variable {
-    Real(Array),
-    /// Anything but a full array of real numbers, described in words.
-    Other(&'static str),
-}
 
 const EXPECTED: &str = "a whole MAT-file of version 5 to 7";
 const HEADER_BYTES: usize = 128;
@@ -42,74 +18,67 @@ const DOUBLE_CLASS: u8 = 6;
 const OPAQUE_CLASS: u8 = 17;
 const COMPLEX_FLAG: u32 = 0x0800;
 const LOGICAL_FLAG: u32 = 0x0200;
+/// Longest name of a variable or field that is read; MATLAB's have 63 characters at most.
+const MAX_NAME_BYTES: usize = 1 << 12;
+/// What a value takes beside its numbers, so that cells of nothing cost something.
+const VALUE_BYTES: usize = 64;
 
-/// Reads the variables with the given names, as far as the file has them.
+/// Reads the variables of a file of level 5.
 ///
 /// # Errors
-/// Where the file cannot be read, is no MAT-file of level 5, or is damaged.
-pub(super) fn read(path: &Path, wanted: &[&str]) -> Result<BTreeMap<String, Variable>> {
-    let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
-    let order = byte_order(&bytes).map_err(|found| Error::input(path, "format", found, FORMATS))?;
-    let mut variables = BTreeMap::new();
+/// Where the file is damaged or holds too much.
+pub(super) fn read(path: &Path, bytes: &[u8], order: ByteOrder, wanted: &[&str]) -> Result<Fields> {
+    let mut fields = Fields::new();
+    let mut budget = Budget(MAX_BYTES);
     let mut rest = bytes.get(HEADER_BYTES..).unwrap_or_default();
     let mut position = 1;
     while !rest.is_empty() {
         let name = format!("variable {position}");
         let damaged = |name: &str, e: io::Error| Error::input(path, name, e, EXPECTED);
-        let mut tag = Source { bytes: rest, order };
+        let mut tag = Source::new(rest, order, &mut budget, wanted);
         let kind = tag.u32().map_err(|e| damaged(&name, e))?;
         let size = tag.u32().map_err(|e| damaged(&name, e))? as usize;
         let whole = tag.bytes.get(..size);
         let body = whole.unwrap_or(tag.bytes);
+        rest = tag.bytes.get(size..).unwrap_or_default();
         let content: Box<dyn Read + '_> = match kind {
             MATRIX => Box::new(body),
             COMPRESSED => Box::new(ZlibDecoder::new(body)),
             _ => return Err(damaged(&name, fault(format!("an element of type {kind}")))),
         };
-        let mut source = Source { bytes: content, order };
-        let head = source.head(kind == COMPRESSED).map_err(|e| damaged(&name, e))?;
+        let mut source = Source::new(content, order, &mut budget, wanted);
+        let size = match kind {
+            COMPRESSED => source.matrix_tag().map_err(|e| damaged(&name, e))?,
+            _ => size,
+        };
+        let head = source.head().map_err(|e| damaged(&name, e))?;
         if whole.is_none() {
             let found = format!("{} of {size} bytes (the file is cut short)", body.len());
             return Err(Error::input(path, head.name, found, EXPECTED));
         }
-        if wanted.contains(&head.name.as_str()) {
-            let variable = source.variable(&head).map_err(|e| damaged(&head.name, e))?;
-            variables.insert(head.name, variable);
+        let is_wanted = wanted.contains(&head.name.as_str());
+        let value = match is_wanted || head.class == STRUCT_CLASS {
+            true => source.value(&head, is_wanted, 0).map_err(|e| damaged(&head.name, e))?,
+            false => Value::Other(head.kind()),
+        };
+        if is_wanted {
+            // Reading on to the end lets the decompression compare its checksum.
+            source.skip_to_end(size).map_err(|e| damaged(&head.name, e))?;
         }
-        rest = tag.bytes.get(size..).unwrap_or_default();
+        fields.insert(head.name, value);
         position += 1;
     }
-    Ok(variables)
-}
-
-const FORMATS: &str = "a MAT-file of version 5 to 7 (in MATLAB and Octave: save with -v7)";
-
-#[derive(Debug, Clone, Copy)]
-enum ByteOrder {
-    Little,
-    Big,
-}
-
-/// The file's byte order, or what the file is instead of a MAT-file of level 5.
-fn byte_order(bytes: &[u8]) -> Result<ByteOrder, &'static str> {
-    let hdf5 = b"\x89HDF\r\n\x1a\n";
-    if bytes.starts_with(b"MATLAB 7.3") || bytes.starts_with(hdf5) {
-        return Err("version 7.3 (HDF5)");
-    }
-    if bytes.starts_with(b"# Created by Octave") || bytes.starts_with(b"Octave-1") {
-        return Err("a file of Octave's own format");
-    }
-    match bytes.get(124..HEADER_BYTES) {
-        _ if bytes.is_empty() => Err("an empty file"),
-        Some([0, 1, b'I', b'M']) => Ok(ByteOrder::Little),
-        Some([1, 0, b'M', b'I']) => Ok(ByteOrder::Big),
-        _ => Err("a file without the header of one"),
-    }
+    Ok(fields)
 }
 
 fn fault(found: impl Into<String>) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, found.into())
 }
+
+const CELL_CLASS: u8 = 1;
+const STRUCT_CLASS: u8 = 2;
+const TEXT_CLASS: u8 = 4;
+const SPARSE_CLASS: u8 = 5;
 
 /// The header of a variable.
 struct Head {
@@ -119,33 +88,65 @@ struct Head {
     name: String,
 }
 
-struct Source<R> {
-    bytes: R,
-    order: ByteOrder,
+impl Head {
+    fn kind(&self) -> &'static str {
+        match self.class {
+            _ if self.flags & COMPLEX_FLAG != 0 => "complex numbers",
+            _ if self.flags & LOGICAL_FLAG != 0 => "logical values",
+            CELL_CLASS => "a cell array",
+            STRUCT_CLASS if self.shape.iter().all(|&size| size == 1) => "a struct",
+            STRUCT_CLASS => "an array of structs",
+            TEXT_CLASS => "text",
+            SPARSE_CLASS => "a sparse array",
+            DOUBLE_CLASS..=15 => "a full array of real numbers",
+            _ => "an object",
+        }
+    }
 }
 
-impl<R: Read> Source<R> {
-    fn array<const N: usize>(&mut self) -> io::Result<[u8; N]> {
-        let mut bytes = [0; N];
-        match self.bytes.read_exact(&mut bytes) {
-            Ok(()) => Ok(bytes),
-            Err(e) if e.kind() == io::ErrorKind::UnexpectedEof => Err(fault("an early end")),
-            Err(e) => Err(e),
-        }
+struct Source<'a, R> {
+    bytes: R,
+    order: ByteOrder,
+    /// Bytes read so far.
+    read: usize,
+    budget: &'a mut Budget,
+    /// Names of the arrays and cells that are kept.
+    wanted: &'a [&'a str],
+}
+
+impl<'a, R: Read> Source<'a, R> {
+    fn new(bytes: R, order: ByteOrder, budget: &'a mut Budget, wanted: &'a [&'a str]) -> Self {
+        Self { bytes, order, read: 0, budget, wanted }
     }
 
     fn u32(&mut self) -> io::Result<u32> {
-        let bytes = self.array()?;
-        Ok(match self.order {
-            ByteOrder::Little => u32::from_le_bytes(bytes),
-            ByteOrder::Big => u32::from_be_bytes(bytes),
-        })
+        let mut bytes = [0; 4];
+        match self.bytes.read_exact(&mut bytes) {
+            Ok(()) => self.read += 4,
+            Err(e) if e.kind() == io::ErrorKind::UnexpectedEof => return Err(fault("an early end")),
+            Err(e) => return Err(e),
+        }
+        Ok(self.order.u32(bytes))
+    }
+
+    /// Skips bytes; fewer may be there.
+    fn skip(&mut self, bytes: usize) -> io::Result<()> {
+        self.read += io::copy(&mut (&mut self.bytes).take(bytes as u64), &mut io::sink())? as usize;
+        Ok(())
+    }
+
+    /// Skips what is left of an element of that size.
+    fn skip_to_end(&mut self, size: usize) -> io::Result<()> {
+        self.skip(size.saturating_sub(self.read))?;
+        io::copy(&mut (&mut self.bytes).take(1), &mut io::sink())?;
+        Ok(())
     }
 
     /// A data element: its type and its bytes, at most `limit` of them.
     fn element(&mut self, limit: usize) -> io::Result<(u32, Vec<u8>)> {
         let first = self.u32()?;
-        // Up to four bytes can be stored inside the tag; the upper half of its first word then holds their number.
+        // Up to four bytes can be stored inside the tag; the upper half of its first word then holds their
+        // number.
         let packed = (first >> 16) as usize;
         let (kind, size, room) = if packed > 0 {
             (first & 0xffff, packed, 4)
@@ -156,23 +157,28 @@ impl<R: Read> Source<R> {
         if size > limit.min(room) {
             return Err(fault(format!("an element of {size} bytes where {limit} fit")));
         }
+        // An array grows as its bytes arrive, whatever the tag claims.
         let mut bytes = Vec::new();
         (&mut self.bytes).take(size as u64).read_to_end(&mut bytes)?;
+        self.read += bytes.len();
         if bytes.len() < size {
             return Err(fault(format!("{} of {size} bytes", bytes.len())));
         }
         // The last element's padding may be missing; reading a next element would fail.
-        io::copy(&mut (&mut self.bytes).take((room - size) as u64), &mut io::sink())?;
+        self.skip(room - size)?;
         Ok((kind, bytes))
     }
 
-    fn head(&mut self, tagged: bool) -> io::Result<Head> {
-        if tagged {
-            let (kind, _size) = (self.u32()?, self.u32()?);
-            if kind != MATRIX {
-                return Err(fault(format!("a compressed element of type {kind}")));
-            }
+    /// The tag of a matrix: the size of what follows.
+    fn matrix_tag(&mut self) -> io::Result<usize> {
+        let (kind, size) = (self.u32()?, self.u32()?);
+        if kind != MATRIX {
+            return Err(fault(format!("an element of type {kind} inside another one")));
         }
+        Ok(size as usize)
+    }
+
+    fn head(&mut self) -> io::Result<Head> {
         let (_, bytes) = self.element(8)?;
         let flags = self.words(&bytes).next().ok_or_else(|| fault("no array flags"))?;
         let class = (flags & 0xff) as u8;
@@ -184,77 +190,122 @@ impl<R: Read> Source<R> {
                 return Err(fault(format!("array sizes {shape:?}")));
             }
         }
-        let (_, bytes) = self.element(1 << 12)?;
-        let name = String::from_utf8_lossy(&bytes).into_owned();
+        let (_, bytes) = self.element(MAX_NAME_BYTES)?;
+        let name = String::from_utf8_lossy(&bytes).escape_debug().to_string();
         Ok(Head { class, flags, shape, name })
     }
 
-    fn words<'a>(&self, bytes: &'a [u8]) -> impl Iterator<Item = u32> + use<'a, R> {
+    fn words<'b>(&self, bytes: &'b [u8]) -> impl Iterator<Item = u32> + use<'b, R> {
         let order = self.order;
-        bytes.as_chunks().0.iter().map(move |&chunk| match order {
-            ByteOrder::Little => u32::from_le_bytes(chunk),
-            ByteOrder::Big => u32::from_be_bytes(chunk),
-        })
+        bytes.as_chunks().0.iter().map(move |&chunk| order.u32(chunk))
     }
 
-    fn variable(&mut self, head: &Head) -> io::Result<Variable> {
-        let other = match head.class {
-            _ if head.flags & COMPLEX_FLAG != 0 => "complex numbers",
-            _ if head.flags & LOGICAL_FLAG != 0 => "logical values",
-            1 => "a cell array",
-            2 => "a struct",
-            4 => "text",
-            5 => "a sparse array",
-            DOUBLE_CLASS..=15 => "",
-            _ => "an object",
-        };
-        if !other.is_empty() {
-            return Ok(Variable::Other(other));
+    /// The value that follows a head. Arrays and cells that nobody asked for are not read.
+    fn value(&mut self, head: &Head, is_wanted: bool, depth: usize) -> io::Result<Value> {
+        let is_complex = head.flags & COMPLEX_FLAG != 0;
+        match head.class {
+            STRUCT_CLASS if head.shape.iter().all(|&size| size == 1) => self.fields(depth).map(Value::Struct),
+            CELL_CLASS if is_wanted => {
+                self.cells(count(&head.shape).map_err(fault)?, depth).map(Value::Cells)
+            }
+            TEXT_CLASS if is_wanted => Ok(Value::Text(text(&self.array(head)?.values))),
+            DOUBLE_CLASS..=15 if is_wanted && !is_complex => {
+                let array = self.array(head)?;
+                let is_logical = head.flags & LOGICAL_FLAG != 0;
+                Ok(if is_logical { Value::Logical(array) } else { Value::Real(array) })
+            }
+            _ => Ok(Value::Other(head.kind())),
         }
-        let count = head.shape.iter().try_fold(1_usize, |n, &size| n.checked_mul(size));
-        let count = count.filter(|n| n.checked_mul(8).is_some());
-        let count = count.ok_or_else(|| fault(format!("array sizes {:?}", head.shape)))?;
+    }
+
+    fn array(&mut self, head: &Head) -> io::Result<Array> {
+        let count = count(&head.shape).map_err(fault)?;
+        self.budget.take(count, 8).map_err(fault)?;
         let (kind, bytes) = self.element(count * 8)?;
-        let values =
-            numbers(kind, self.order, &bytes).ok_or_else(|| fault(format!("values of type {kind}")))?;
-        if values.len() != count {
+        let values = stored(kind).and_then(|stored| numbers(stored, self.order, &bytes));
+        let values = values.ok_or_else(|| fault(format!("values of type {kind}")))?;
+        // Text in UTF-8 may have fewer characters than bytes; only what it says counts.
+        if values.len() != count && head.class != TEXT_CLASS {
             return Err(fault(format!("{} values for an array of {count}", values.len())));
         }
-        // Reading on to the end lets the decompression compare its checksum.
-        io::copy(&mut self.bytes, &mut io::sink())?;
-        Ok(Variable::Real(Array { shape: head.shape.clone(), values }))
+        Ok(Array { shape: head.shape.clone(), values })
+    }
+
+    /// The values of a cell array.
+    fn cells(&mut self, count: usize, depth: usize) -> io::Result<Vec<Value>> {
+        let mut cells = Vec::new();
+        for _ in 0..count {
+            cells.push(self.nested(true, depth + 1)?);
+        }
+        Ok(cells)
+    }
+
+    /// The fields of a struct.
+    fn fields(&mut self, depth: usize) -> io::Result<Fields> {
+        let (_, bytes) = self.element(4)?;
+        let width = self.words(&bytes).next().unwrap_or(0) as usize;
+        let (_, names) = self.element(1 << 20)?;
+        if width == 0 || width > MAX_NAME_BYTES {
+            return Err(fault(format!("field names of {width} bytes")));
+        }
+        let mut fields = Fields::new();
+        for name in names.chunks(width) {
+            let name = name.split(|&b| b == 0).next().unwrap_or_default();
+            let name = String::from_utf8_lossy(name).escape_debug().to_string();
+            let is_wanted = self.wanted.contains(&name.as_str());
+            let value = self.nested(is_wanted, depth + 1)?;
+            fields.insert(name, value);
+        }
+        Ok(fields)
+    }
+
+    /// A matrix in a cell or field.
+    fn nested(&mut self, is_wanted: bool, depth: usize) -> io::Result<Value> {
+        if depth > MAX_DEPTH {
+            return Err(fault(format!("structs and cells more than {MAX_DEPTH} deep")));
+        }
+        self.budget.take(1, VALUE_BYTES).map_err(fault)?;
+        let size = self.matrix_tag()?;
+        if size == 0 {
+            return Ok(Value::Real(Array { shape: vec![0, 0], values: Vec::new() }));
+        }
+        let end = self.read.saturating_add(size);
+        let head = self.head()?;
+        let value = self.value(&head, is_wanted, depth)?;
+        if self.read > end {
+            return Err(fault(format!("a field or cell of {size} bytes that holds more")));
+        }
+        self.skip(end - self.read)?;
+        match self.read == end {
+            true => Ok(value),
+            false => Err(fault("an early end")),
+        }
     }
 }
 
-/// Numbers of any stored type: writers store whole doubles as the smallest integer type.
-fn numbers(kind: u32, order: ByteOrder, bytes: &[u8]) -> Option<Vec<f64>> {
-    macro_rules! convert {
-        ($type:ty) => {{
-            let (chunks, odd) = bytes.as_chunks();
-            let value = |&chunk| match order {
-                ByteOrder::Little => <$type>::from_le_bytes(chunk) as f64,
-                ByteOrder::Big => <$type>::from_be_bytes(chunk) as f64,
-            };
-            odd.is_empty().then(|| chunks.iter().map(value).collect())
-        }};
-    }
-    match kind {
-        1 => convert!(i8),
-        2 => convert!(u8),
-        3 => convert!(i16),
-        4 => convert!(u16),
-        5 => convert!(i32),
-        6 => convert!(u32),
-        7 => convert!(f32),
-        9 => convert!(f64),
-        12 => convert!(i64),
-        13 => convert!(u64),
-        _ => None,
-    }
+/// How numbers of a type are stored, characters included. Writers store whole doubles as the smallest integer
+/// type.
+fn stored(kind: u32) -> Option<Stored> {
+    Some(match kind {
+        1 => Stored::I8,
+        2 | 16 => Stored::U8,
+        3 => Stored::I16,
+        4 | 17 => Stored::U16,
+        5 => Stored::I32,
+        6 => Stored::U32,
+        7 => Stored::F32,
+        9 => Stored::F64,
+        12 => Stored::I64,
+        13 => Stored::U64,
+        _ => return None,
+    })
 }
 
 /// Writes arrays of doubles, uncompressed and little-endian; equal arrays give equal bytes.
-pub(super) fn write(file: &mut dyn Write, variables: &[(&str, Array)]) -> io::Result<()> {
+pub(in crate::recording::formats) fn write(
+    file: &mut dyn Write,
+    variables: &[(&str, Array)],
+) -> io::Result<()> {
     let text = concat!("MATLAB 5.0 MAT-file, written by lumenmesh ", env!("CARGO_PKG_VERSION"));
     write!(file, "{text:<116}")?;
     file.write_all(&[0; 8])?;
@@ -324,10 +375,10 @@ mod tests {
         bytes
     }
 
-    fn read_bytes(bytes: &[u8]) -> Result<BTreeMap<String, Variable>> {
+    fn read_bytes(bytes: &[u8]) -> Result<Fields> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), bytes).unwrap();
-        read(file.path(), &["a", "longer_name"])
+        super::super::read(file.path(), &["a", "longer_name"])
     }
 
     #[test]
@@ -335,7 +386,7 @@ mod tests {
         let plain = read_bytes(&written()).unwrap();
         assert_eq!(plain.len(), 2);
         assert_eq!(plain, read_bytes(&compressed()).unwrap());
-        let Variable::Real(a) = &plain["a"] else { panic!("a is real") };
+        let Value::Real(a) = &plain["a"] else { panic!("a is real") };
         assert_eq!((a.shape_text().as_str(), a.values[35]), ("3x3x4", 5.0));
     }
 
@@ -378,7 +429,7 @@ mod tests {
         let (before_name, rest) = head.split_at_mut(56);
         before_name.chunks_mut(4).chain(rest[8..].chunks_mut(4)).for_each(<[u8]>::reverse);
         values.chunks_mut(8).for_each(<[u8]>::reverse);
-        assert_eq!(read_bytes(&bytes).unwrap()["a"], Variable::Real(array));
+        assert_eq!(read_bytes(&bytes).unwrap()["a"], Value::Real(array));
     }
 
     #[test]
