@@ -74,6 +74,7 @@ pub mod simulate;
 pub mod study;
 pub mod surface;
 pub mod sweep;
+mod text;
 
 pub use error::{Error, Result};
 /// The vectors and matrices in this crate's signatures.

@@ -186,6 +186,6 @@ mod tests {
         assert!(back.world_from_sensor.rotation.abs_diff_eq(pose.rotation, 1e-12));
         assert!(back.contour_mm[0].abs_diff_eq(contour[0], 1e-12) && back.contour_mm[1].is_nan());
         assert_eq!(back.time_s, Some(1.5));
-        assert_eq!(Conventions::default().apply_to(&frame), frame);
+        assert_eq!(Conventions::default().apply_to(&frame).world_from_sensor, pose);
     }
 }

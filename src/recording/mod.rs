@@ -238,10 +238,13 @@ impl Frame {
         let position = self.world_from_sensor.translation_mm;
         let mut defects = Vec::new();
         let mut add = |field, found, expected| defects.push(Defect { field, found, expected });
-        if !position.is_finite() || position.abs().max_element() > MAX_POSITION_MM {
+        let is_lost = position.is_nan() && self.world_from_sensor.rotation.is_nan();
+        if is_lost {
+            add("pose", "none".into(), "a pose: the tracker reported none");
+        } else if !position.is_finite() || position.abs().max_element() > MAX_POSITION_MM {
             add("position", position.to_string(), "three finite numbers in mm, at most 1e6 from the origin");
         }
-        if let Some((found, expected)) = self.rotation_defect() {
+        if let Some((found, expected)) = self.rotation_defect().filter(|_| !is_lost) {
             add("rotation", found, expected);
         }
         if let Some(t) = self.time_s.filter(|t| !t.is_finite()) {

@@ -7,7 +7,7 @@ use std::io::Write;
 use std::sync::OnceLock;
 
 /// What a buffer holds before a pass writes it.
-pub const POISON: u32 = u32::MAX;
+pub const POISON: u32 = 0x5a5a_5a5a;
 
 /// An engine that runs single passes of a workspace.
 pub trait RunPass {

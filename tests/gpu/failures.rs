@@ -16,7 +16,7 @@ use std::time::Duration;
 fn in_time<R: Send + 'static>(work: impl FnOnce() -> R + Send + 'static) -> R {
     let (sender, receiver) = mpsc::channel();
     let thread = std::thread::spawn(move || sender.send(work()));
-    let done = receiver.recv_timeout(Duration::from_secs(30)).expect("the device hangs");
+    let done = receiver.recv_timeout(Duration::from_secs(60)).expect("the device hangs");
     thread.join().unwrap().unwrap();
     done
 }

@@ -1,7 +1,7 @@
 //! The passes that group points by face, `bin` to `classify`, against their twins.
 
 use crate::compare::{Tolerance, integers, numbers, places};
-use crate::device::{Device, POISON, device};
+use crate::device::{Device, device};
 use crate::sections::{RADIUS_MM, rows, seeded, wall};
 use lumenmesh::cylinders::Tube;
 use lumenmesh::cylinders::{FitRequest, Track};
@@ -11,6 +11,9 @@ use lumenmesh::low_level::cylinders::passes::{
 };
 use lumenmesh::settings::Settings;
 use rand::RngExt;
+
+/// The owner of a point that is in no face.
+const NONE: u32 = u32::MAX;
 
 /// About the 256 invocations of a workgroup, and several workgroups.
 const POINTS: [usize; 9] = [0, 1, 2, 255, 256, 257, 1023, 1025, 20_000];
@@ -92,14 +95,14 @@ fn bin_and_scatter_keep_cylinders_apart_and_leave_out_points_without_one() {
     let slots = workspace.parameters().slots as usize;
     let section = wall(slots, 6);
     let mut rng = seeded(7);
-    let owners: Vec<u32> = (0..slots).map(|_| [0, 1, 2, POISON][rng.random_range(0..4)]).collect();
+    let owners: Vec<u32> = (0..slots).map(|_| [0, 1, 2, NONE][rng.random_range(0..4)]).collect();
     let face_of_each: Vec<u32> = faces(&section, &tube)
         .iter()
         .zip(&owners)
-        .map(|(face, owner)| if *owner == POISON { POISON } else { owner * 60 + face })
+        .map(|(face, owner)| if *owner == NONE { NONE } else { owner * 60 + face })
         .collect();
     let mut expected = vec![0_u32; 180];
-    face_of_each.iter().filter(|&&f| f != POISON).for_each(|&f| expected[f as usize] += 1);
+    face_of_each.iter().filter(|&&f| f != NONE).for_each(|&f| expected[f as usize] += 1);
     let rows = rows(&section);
     let inputs = [
         ("section", bytemuck::cast_slice(&rows)),

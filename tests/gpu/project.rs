@@ -1,12 +1,15 @@
 //! The pass `project` against its twin.
 
 use crate::compare::{Tolerance, integers, numbers};
-use crate::device::{Device, POISON, device};
+use crate::device::{Device, device};
 use crate::sections::recording;
 use lumenmesh::cylinders::{FitRequest, Track};
 use lumenmesh::low_level::cylinders::passes::{Gate, Section, TubeTransform, project};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
+
+/// The owner of a point that did not pass the gate.
+const NONE: u32 = u32::MAX;
 
 /// The twin's result for each slot: its cylinder and tube coordinates, or none where it does not pass.
 struct Expected {
@@ -32,7 +35,7 @@ fn twin(request: &FitRequest) -> Expected {
                 project(std::slice::from_ref(point), &transform, &gate, &mut one);
                 expected.gated[cylinder] += one.gated as u32;
                 if one.is_empty() {
-                    expected.owners.push(POISON);
+                    expected.owners.push(NONE);
                     continue;
                 }
                 expected.passed.push(expected.owners.len());
@@ -68,8 +71,7 @@ fn agrees(
     let expected = twin(&request);
     assert_eq!(expected.owners.len(), workspace.parameters().slots as usize);
     assert_eq!(gated.words[..frames.len()], expected.gated);
-    // A point on the gate's edge may fall on either side where a device rounds in its own way; POISON, "not
-    // passed", is what the buffer held, so a mark of it cannot be told from a word left out.
+    // A point on the gate's edge may fall on either side where a device rounds in its own way.
     if device.exact {
         integers(&owners, &expected.owners).unwrap();
     } else {

@@ -4,8 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Modules from the bottom to the top; the longest prefix of a path decides.
-const ORDER: [&str; 33] = [
+const ORDER: [&str; 34] = [
     "setters",
+    "text",
     "numerics",
     "geometry",
     "gpu",

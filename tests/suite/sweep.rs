@@ -10,6 +10,7 @@ use lumenmesh::settings::{Settings, SweepSettings};
 use lumenmesh::simulate::{self, ContourNoise, Insertion, Move, Noise};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 /// Frames along z, off the axis and each tilted in another direction, that see a round wall of radius `radius(z)`
@@ -280,15 +281,33 @@ fn small_and_odd_recordings_give_finite_surfaces_or_errors() {
     folded.iter_mut().for_each(|f| f.contour_mm.reverse());
     let mut far = full.frames.clone();
     far[3].world_from_sensor.translation_mm = DVec3::splat(1e6);
-    odd.extend([jump, wild, folded, far]);
-    let mut surfaces = 0;
-    for frames in odd {
-        if let Ok(sweep) = Sweep::of(&Recording { frames }, &Settings::default()) {
+    odd.extend([jump, wild, folded]);
+    // Unscreened, one frame a kilometre away takes the centreline with it.
+    let message = Sweep::of(&Recording { frames: far }, &Settings::default()).unwrap_err().to_string();
+    assert!(message.contains("that cover no length"), "{message}");
+    // Per recording: a surface, or why there is none.
+    let found: Vec<Result<(), String>> = odd
+        .into_iter()
+        .map(|frames| {
+            let sweep = Sweep::of(&Recording { frames }, &Settings::default()).map_err(|e| e.to_string())?;
             for keep_unsupported in [false, true] {
                 sweep.surface(keep_unsupported).check().unwrap();
             }
-            surfaces += 1;
+            Ok(())
+        })
+        .collect();
+    // Frames side by side, contours of one or two echoes, and contours of a few neighbouring rays, whose centres wander.
+    const NO_LENGTH: &str = "that cover no length";
+    const TOO_FAR: &str = "expected one every 4 radii at least";
+    let refused =
+        [(1, NO_LENGTH), (3, NO_LENGTH), (5, NO_LENGTH), (7, NO_LENGTH), (8, NO_LENGTH), (10, NO_LENGTH)];
+    let refused: BTreeMap<usize, &str> = refused.into_iter().chain([(12, TOO_FAR), (14, TOO_FAR)]).collect();
+    assert_eq!(found.len(), 19);
+    for (k, found) in found.iter().enumerate() {
+        match (found, refused.get(&k)) {
+            (Ok(()), None) => {}
+            (Err(message), Some(expected)) => assert!(message.contains(expected), "{k}: {message}"),
+            _ => panic!("{k}: {found:?}, expected {:?}", refused.get(&k)),
         }
     }
-    assert!(surfaces >= 10, "{surfaces}");
 }

@@ -1,8 +1,7 @@
 //! Delimited text as spreadsheets and scripts write it.
 
 use super::units::{Unit, split_unit};
-use crate::{Error, Result};
-use encoding_rs::{Encoding, WINDOWS_1252};
+use crate::{Error, Result, text};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -65,7 +64,7 @@ const SHOWN: usize = 40;
 impl Table {
     pub fn open(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
-        let text = decoded(bytes);
+        let text = text::decoded(&bytes).into_owned();
         if text.contains('\0') {
             return Err(Error::input(path, "text", "bytes of zero", "lines of text"));
         }
@@ -413,15 +412,6 @@ fn other_names(name: &str) -> &'static [&'static str] {
         "qw" => &["quaternion_w", "quat_w", "q_w"],
         _ => &[],
     }
-}
-
-/// The text of a file: by its byte order mark, else UTF-8, and Windows-1252 where it is none.
-fn decoded(bytes: Vec<u8>) -> String {
-    if let Some((encoding, mark)) = Encoding::for_bom(&bytes) {
-        return encoding.decode_without_bom_handling(&bytes[mark..]).0.into_owned();
-    }
-    String::from_utf8(bytes)
-        .unwrap_or_else(|e| WINDOWS_1252.decode_without_bom_handling(e.as_bytes()).0.into_owned())
 }
 
 /// What a line `sep=;` says.

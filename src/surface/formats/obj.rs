@@ -3,6 +3,7 @@
 use super::cells::{Contents, require_triangles};
 use super::text;
 use crate::surface::Surface;
+use crate::text::decoded;
 use crate::{Error, Result};
 use glam::DVec3;
 use std::borrow::Cow;
@@ -11,7 +12,7 @@ use std::path::Path;
 
 /// Reads `v` and `f` lines without texture and normal indices, counts lines and points, and skips all others.
 pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
-    let text = text::decode(bytes);
+    let text = decoded(bytes);
     let mut contents = Contents::default();
     for (number, line) in logical_lines(&text) {
         let field = || format!("line {number}");

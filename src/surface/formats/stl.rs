@@ -3,6 +3,7 @@
 use super::cells::require_triangles;
 use super::text;
 use crate::surface::Surface;
+use crate::text::decoded;
 use crate::{Error, Result};
 use glam::DVec3;
 use std::collections::HashMap;
@@ -56,7 +57,7 @@ fn binary_corners(path: &Path, bytes: &[u8]) -> Result<Vec<[f32; 3]>> {
 
 /// The corners of a text, in which each solid must have its end. Case does not count, nor whether `end` stands apart.
 fn text_corners(path: &Path, bytes: &[u8]) -> Result<Vec<[f32; 3]>> {
-    let text = text::decode(bytes);
+    let text = decoded(bytes);
     let mut corners = Vec::new();
     let mut loops = 0;
     let mut solids = 0;

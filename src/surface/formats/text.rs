@@ -2,21 +2,6 @@
 
 use std::borrow::Cow;
 
-/// The bytes of a text file as text, without its byte order mark.
-///
-/// UTF-16 is told by its mark. Bytes that are not UTF-8, such as names in Latin-1, become U+FFFD: keywords and numbers
-/// are ASCII.
-pub(super) fn decode(bytes: &[u8]) -> Cow<'_, str> {
-    let wide = |rest: &[u8], unit: fn([u8; 2]) -> u16| -> Cow<'static, str> {
-        Cow::Owned(String::from_utf16_lossy(&rest.as_chunks().0.iter().map(|&b| unit(b)).collect::<Vec<_>>()))
-    };
-    match bytes {
-        [0xff, 0xfe, rest @ ..] => wide(rest, u16::from_le_bytes),
-        [0xfe, 0xff, rest @ ..] => wide(rest, u16::from_be_bytes),
-        _ => String::from_utf8_lossy(without_mark(bytes)),
-    }
-}
-
 /// Bytes without the byte order mark of UTF-8.
 pub(super) fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)

@@ -8,6 +8,7 @@ use super::cells::{Contents, require_triangles};
 use super::number::Number;
 use super::text;
 use crate::surface::{NodeArray, Surface};
+use crate::text::decoded;
 use crate::{Error, Result};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -122,7 +123,7 @@ impl<'a> Document<'a> {
             taken: Cell::new(0),
         };
         document.read_appended(tail)?;
-        document.read_elements(&text::decode(text))?;
+        document.read_elements(&decoded(text))?;
         Ok(document)
     }
 

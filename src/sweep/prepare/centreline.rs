@@ -8,7 +8,9 @@ use crate::geometry::polyline::{lengths, resampled, station};
 use crate::numerics::banded::Pentadiagonal;
 use crate::numerics::robust::median;
 use crate::{Error, Result};
-use glam::DVec3;
+use glam::{DVec3, I64Vec3};
+use std::cmp::Ordering;
+use std::collections::{BinaryHeap, HashMap};
 
 /// Clusters within this many cluster radii of each other touch.
 const TOUCH: f64 = 1.7;
@@ -64,9 +66,14 @@ fn principal_path(centres: &[DVec3], radius: f64) -> Vec<DVec3> {
     let (clusters, of_centre) = clusters(centres, radius);
     let count = clusters.len();
     // A catheter moves without jumps: clusters of successive frames are connected however far apart they are.
+    let mut places = Places::new(TOUCH * radius);
+    clusters.iter().enumerate().for_each(|(k, &cluster)| places.add(k, cluster));
     let mut neighbours: Vec<Vec<usize>> = (0..count)
         .map(|a| {
-            (0..count).filter(|&b| b != a && clusters[a].distance(clusters[b]) < TOUCH * radius).collect()
+            let touches = |&b: &usize| b != a && clusters[a].distance(clusters[b]) < TOUCH * radius;
+            let mut touching: Vec<usize> = places.near(clusters[a]).filter(touches).collect();
+            touching.sort_unstable();
+            touching
         })
         .collect();
     for pair in of_centre.windows(2) {
@@ -96,11 +103,15 @@ fn principal_path(centres: &[DVec3], radius: f64) -> Vec<DVec3> {
 fn clusters(centres: &[DVec3], radius: f64) -> (Vec<DVec3>, Vec<usize>) {
     let (mut seeds, mut sums): (Vec<DVec3>, Vec<(DVec3, f64)>) = Default::default();
     let mut of_centre = Vec::with_capacity(centres.len());
+    let mut places = Places::new(radius);
     for &centre in centres {
-        let nearest = (0..seeds.len())
-            .min_by(|&a, &b| centre.distance_squared(seeds[a]).total_cmp(&centre.distance_squared(seeds[b])))
+        let squared = |k: usize| centre.distance_squared(seeds[k]);
+        let nearest = places
+            .near(centre)
+            .min_by(|&a, &b| squared(a).total_cmp(&squared(b)).then(a.cmp(&b)))
             .filter(|&k| centre.distance(seeds[k]) < radius);
         let cluster = nearest.unwrap_or_else(|| {
+            places.add(seeds.len(), centre);
             seeds.push(centre);
             sums.push((DVec3::ZERO, 0.0));
             seeds.len() - 1
@@ -110,6 +121,55 @@ fn clusters(centres: &[DVec3], radius: f64) -> (Vec<DVec3>, Vec<usize>) {
         of_centre.push(cluster);
     }
     (sums.into_iter().map(|(sum, n)| sum / n).collect(), of_centre)
+}
+
+/// Points by the cube of space that they lie in, so that those near a place are found without looking at all.
+struct Places {
+    edge_mm: f64,
+    cubes: HashMap<I64Vec3, Vec<usize>>,
+}
+
+impl Places {
+    fn new(edge_mm: f64) -> Self {
+        Self { edge_mm, cubes: HashMap::new() }
+    }
+
+    fn cube(&self, point_mm: DVec3) -> I64Vec3 {
+        (point_mm / self.edge_mm).floor().as_i64vec3()
+    }
+
+    fn add(&mut self, number: usize, point_mm: DVec3) {
+        self.cubes.entry(self.cube(point_mm)).or_default().push(number);
+    }
+
+    /// All points within an edge of a place, and some more.
+    fn near(&self, point_mm: DVec3) -> impl Iterator<Item = usize> + '_ {
+        let home = self.cube(point_mm);
+        let around = (0..27).map(move |k| home + I64Vec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1));
+        around.filter_map(|cube| self.cubes.get(&cube)).flatten().copied()
+    }
+}
+
+/// A cluster that Dijkstra's algorithm may settle next: the nearest first, then the lowest number.
+#[derive(PartialEq)]
+struct Reached {
+    distance_mm: f64,
+    cluster: usize,
+}
+
+impl Eq for Reached {}
+
+impl Ord for Reached {
+    fn cmp(&self, other: &Self) -> Ordering {
+        // A heap gives the greatest first.
+        other.distance_mm.total_cmp(&self.distance_mm).then(other.cluster.cmp(&self.cluster))
+    }
+}
+
+impl PartialOrd for Reached {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
 }
 
 /// Dijkstra's algorithm: distances from `start`, and the predecessor of each cluster on its path.
@@ -122,16 +182,17 @@ fn shortest_paths(
     let (mut distance, mut before) = (vec![f64::INFINITY; count], vec![None; count]);
     let mut settled = vec![false; count];
     distance[start] = 0.0;
-    while let Some(here) = (0..count)
-        .filter(|&k| !settled[k] && distance[k] < f64::INFINITY)
-        .min_by(|&a, &b| distance[a].total_cmp(&distance[b]))
-    {
-        settled[here] = true;
+    let mut open = BinaryHeap::from([Reached { distance_mm: 0.0, cluster: start }]);
+    while let Some(Reached { cluster: here, .. }) = open.pop() {
+        if std::mem::replace(&mut settled[here], true) {
+            continue;
+        }
         for &next in &neighbours[here] {
             let through = distance[here] + clusters[here].distance(clusters[next]);
             if through < distance[next] {
                 distance[next] = through;
                 before[next] = Some(here);
+                open.push(Reached { distance_mm: through, cluster: next });
             }
         }
     }

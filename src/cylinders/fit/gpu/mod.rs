@@ -171,7 +171,7 @@ impl GpuEngine {
     /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back, so that a pass can be
     /// compared with its twin on identical inputs.
     ///
-    /// Outputs that are not among the inputs are filled with ones first, so that what the pass does not write shows.
+    /// Bytes of an output that the pass does not write, and that is no input, are 0x5a.
     ///
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where there is no such pass or buffer, or the device fails.
