@@ -7,7 +7,9 @@ use std::path::PathBuf;
 ///
 /// Frames that no reconstruction can use are listed and not refused: the first ten of each kind.
 #[derive(clap::Args)]
-#[command(after_help = "Examples:\n  lumenmesh info pullback.mat\n  lumenmesh info recording_folder --json")]
+#[command(
+    after_help = "Examples:\n  lumenmesh info pullback.mat\n  lumenmesh info recording_folder --json\n  lumenmesh info pullback.mat --units m --time-unit ms"
+)]
 pub(super) struct Arguments {
     /// A .mat file (v4 to v7.3) or a folder with poses.csv and contours.csv
     recording: PathBuf,

@@ -18,6 +18,7 @@ use std::path::PathBuf;
   lumenmesh reconstruct pullback.mat -o vessel.vtp --sweep-nodes 128 --keep-unsupported
   lumenmesh reconstruct pullback.mat -o vessel.stl --config settings.toml --json > report.json
   lumenmesh reconstruct pullback.mat -o vessel.vtp --correct-poses --estimate-offset
+  lumenmesh reconstruct recording/ -o vessel.vtp --quaternion wxyz --units m
   lumenmesh reconstruct recording/ -o vessel.ply --method cylinders --nodes 24 --levels 8
   lumenmesh reconstruct pullback.mat -o vessel.vtp --method cylinders --cylinders cylinders.csv")]
 pub(super) struct Arguments {

@@ -17,6 +17,9 @@ pub struct Coverage {
     pub nodes: Vec<bool>,
 }
 
+/// Positions of up to a kilometre are counted in units of the distance.
+const MIN_WITHIN_MM: f64 = 1e-6;
+
 impl Coverage {
     /// Within this distance by default, mm: twice the thesis's contour noise.
     pub const WITHIN_MM: f64 = 2.0;
@@ -32,11 +35,11 @@ impl Coverage {
         truth: &Surface,
         within_mm: f64,
     ) -> Result<Self> {
-        if !(within_mm.is_finite() && within_mm > 0.0) {
+        if !(within_mm.is_finite() && within_mm >= MIN_WITHIN_MM) {
             return Err(Error::Setting {
                 name: "covered_within",
                 found: within_mm.to_string(),
-                expected: "more than 0 mm".into(),
+                expected: "at least 1e-6 mm".into(),
             });
         }
         recording.check()?;

@@ -616,7 +616,7 @@ fn bad_csv_lines_are_named_with_what_was_expected() {
             "poses",
             "4,0,",
             "4,,",
-            "poses.csv: frame 4: position: found [NaN, NaN, NaN], expected three finite",
+            "poses.csv: frame 4: pose: found none, expected a pose: the tracker reported none",
         ),
         ("poses", "\n4,", "\n,", "poses.csv: line 3: frame: found nothing, expected a number"),
         ("poses", "\n4,", "\nN/A,", "poses.csv: line 3: frame: found \"N/A\", expected a number"),
@@ -642,7 +642,7 @@ fn bad_csv_lines_are_named_with_what_was_expected() {
             "poses",
             "4,0,0,0,0,0,0,1",
             "4,0,NaN,0,0,0,0,1",
-            "poses.csv: frame 4: position: found [NaN, NaN, NaN], expected three finite",
+            "poses.csv: frame 4: pose: found none, expected a pose: the tracker reported none",
         ),
         (
             "contours",

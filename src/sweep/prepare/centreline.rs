@@ -135,7 +135,9 @@ impl Places {
     }
 
     fn cube(&self, point_mm: DVec3) -> I64Vec3 {
-        (point_mm / self.edge_mm).floor().as_i64vec3()
+        // Where the edge is so short that cubes have no number, they share the last one.
+        const FARTHEST: DVec3 = DVec3::splat(1e15);
+        (point_mm / self.edge_mm).floor().clamp(-FARTHEST, FARTHEST).as_i64vec3()
     }
 
     fn add(&mut self, number: usize, point_mm: DVec3) {

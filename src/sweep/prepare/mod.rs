@@ -28,6 +28,7 @@ use resolution::resolution;
 const BEYOND_RADII: f64 = 1.5;
 
 /// A recording with the axis and the grid of its vessel: the input to the fit of the wall.
+#[derive(Clone)]
 pub(in crate::sweep) struct Prepared<'a> {
     pub frames: &'a [Frame],
     /// The contours, frame by frame; empty for a frame that is left out.
@@ -94,6 +95,14 @@ impl<'a> Prepared<'a> {
             sensor_from_probe,
             half_life_s,
         })
+    }
+
+    /// The same axis and grid, with the contours of some frames only.
+    pub(in crate::sweep) fn with_frames(&self, is_kept: impl Fn(usize) -> bool) -> Self {
+        let mut part = self.clone();
+        let others = part.contours_mm.iter_mut().enumerate().filter(|(k, _)| !is_kept(*k));
+        others.for_each(|(_, contour_mm)| *contour_mm = &[]);
+        part
     }
 
     /// The recorded poses of the sensor.

@@ -28,8 +28,8 @@ pub struct Tracker {
     pub shift_mm: f64,
     /// Root mean square angle of the estimated rotations, degrees.
     pub turn_deg: f64,
-    /// Whether shifts and rotations were corrected: not where they are larger than a tracker's errors or do not lower the
-    /// noise of the echoes about the wall.
+    /// Whether shifts and rotations were corrected: not where they are larger than a tracker's errors, do not lower the
+    /// noise of the echoes about the wall, or do not bring the wall nearer to frames that had no part in it.
     pub poses_corrected: bool,
     /// How much older than its contour a pose is, s; `None` where it was not estimated.
     pub offset_s: Option<f64>,
@@ -115,13 +115,35 @@ impl Tracker {
             report.turn_deg = rms(|(_, turn)| turn.length_squared()).to_degrees();
             report.poses_corrected = report.shift_mm <= MAX_SHIFT_RADII * grid.radius_mm()
                 && report.turn_deg <= MAX_TURN_DEG
-                && refitted.noise_mm <= wall.noise_mm;
+                && refitted.noise_mm <= wall.noise_mm
+                && improves_held_out(prepared, settings.roughness, &sensors, wall)?;
             if report.poses_corrected {
                 (*echoes, *wall) = (found.echoes, refitted);
             }
         }
         Ok(Some(report))
     }
+}
+
+/// Whether correcting the poses of every second frame brings their wall nearer to the echoes of the others, whose poses stay
+/// as they were recorded: where poses have no errors, corrections fit noise and make the wall worse.
+fn improves_held_out(prepared: &Prepared, roughness: f64, sensors: &[Pose], wall: &Wall) -> Result<bool> {
+    let part = prepared.with_frames(|k| k % 2 == 0);
+    let estimator = Estimator { prepared: &part, solver: Solver::new(part.grid), roughness };
+    let mut echoes = part.echoes(sensors);
+    estimator.project(&mut echoes, wall);
+    let as_recorded = refit(&part.grid, &mut echoes, roughness, wall.clone())?;
+    let mut found = estimator.estimate(sensors, None, echoes, as_recorded.clone())?;
+    let with_corrections = refit(&part.grid, &mut found.echoes, roughness, found.wall)?;
+    let held_out = prepared.with_frames(|k| k % 2 == 1).echoes(sensors);
+    // Beyond three standard deviations an echo says that it is off the wall, not how far.
+    let most_mm2 = (3.0 * as_recorded.noise_mm).powi(2);
+    let error_mm2 = |wall: &Wall| -> f64 {
+        let mut echoes = held_out.clone();
+        estimator.project(&mut echoes, wall);
+        echoes.iter().map(|echo| (echo.residual_mm * echo.residual_mm).min(most_mm2)).sum()
+    };
+    Ok(error_mm2(&with_corrections) < error_mm2(&as_recorded))
 }
 
 /// Estimates the errors of a recording's poses.
