@@ -648,7 +648,7 @@ fn bad_csv_lines_are_named_with_what_was_expected() {
             "contours",
             "4,2",
             "5,2",
-            "poses.csv: frame 5: position: found [NaN, NaN, NaN], expected three finite",
+            "poses.csv: frame 5: pose: found none, expected a pose: the tracker reported none",
         ),
         (
             "contours",

@@ -28,7 +28,6 @@ use resolution::resolution;
 const BEYOND_RADII: f64 = 1.5;
 
 /// A recording with the axis and the grid of its vessel: the input to the fit of the wall.
-#[derive(Clone)]
 pub(in crate::sweep) struct Prepared<'a> {
     pub frames: &'a [Frame],
     /// The contours, frame by frame; empty for a frame that is left out.
@@ -97,12 +96,18 @@ impl<'a> Prepared<'a> {
         })
     }
 
-    /// The same axis and grid, with the contours of some frames only.
-    pub(in crate::sweep) fn with_frames(&self, is_kept: impl Fn(usize) -> bool) -> Self {
-        let mut part = self.clone();
-        let others = part.contours_mm.iter_mut().enumerate().filter(|(k, _)| !is_kept(*k));
-        others.for_each(|(_, contour_mm)| *contour_mm = &[]);
-        part
+    /// The same axis and grid with other contours of the same frames; those that are left out stay so.
+    pub(in crate::sweep) fn with_contours<'b>(&self, frames: &'b [Frame]) -> Prepared<'b> {
+        let kept = |(frame, contour_mm): (&'b Frame, &&[DVec2])| -> &'b [DVec2] {
+            if contour_mm.is_empty() { &[] } else { &frame.contour_mm }
+        };
+        Prepared {
+            frames,
+            contours_mm: frames.iter().zip(&self.contours_mm).map(kept).collect(),
+            folded_frames: self.folded_frames.clone(),
+            axis: self.axis.clone(),
+            ..*self
+        }
     }
 
     /// The recorded poses of the sensor.

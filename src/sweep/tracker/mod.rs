@@ -14,7 +14,7 @@ use crate::sweep::wall::engine::refit;
 use crate::sweep::wall::fit::Wall;
 use crate::sweep::wall::solver::Solver;
 use crate::{Error, Result};
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec2, DVec3};
 use joint::{BendingPrior, Joint, Motion, NoiseLevels, Offset, Twist, corrected, split};
 use serde::Serialize;
 
@@ -29,7 +29,7 @@ pub struct Tracker {
     /// Root mean square angle of the estimated rotations, degrees.
     pub turn_deg: f64,
     /// Whether shifts and rotations were corrected: not where they are larger than a tracker's errors, do not lower the
-    /// noise of the echoes about the wall, or do not bring the wall nearer to frames that had no part in it.
+    /// noise of the echoes about the wall, or do not bring rays nearer to the wall that had no part in the estimate.
     pub poses_corrected: bool,
     /// How much older than its contour a pose is, s; `None` where it was not estimated.
     pub offset_s: Option<f64>,
@@ -125,25 +125,36 @@ impl Tracker {
     }
 }
 
-/// Whether correcting the poses of every second frame brings their wall nearer to the echoes of the others, whose poses stay
-/// as they were recorded: where poses have no errors, corrections fit noise and make the wall worse.
+/// Whether corrections that every second ray of each contour asks for bring the other rays nearer to the wall of the former:
+/// where poses have no errors, corrections fit the rays' noise, and the others then lie farther off.
 fn improves_held_out(prepared: &Prepared, roughness: f64, sensors: &[Pose], wall: &Wall) -> Result<bool> {
-    let part = prepared.with_frames(|k| k % 2 == 0);
-    let estimator = Estimator { prepared: &part, solver: Solver::new(part.grid), roughness };
-    let mut echoes = part.echoes(sensors);
+    let every_second = |first: usize| -> Vec<Frame> {
+        let half = |frame: &Frame| {
+            let mut frame = frame.clone();
+            frame.contour_mm.iter_mut().skip(1 - first).step_by(2).for_each(|p| *p = DVec2::NAN);
+            frame
+        };
+        prepared.frames.iter().map(half).collect()
+    };
+    let (used, others) = (every_second(0), every_second(1));
+    let (used, others) = (prepared.with_contours(&used), prepared.with_contours(&others));
+    let estimator = Estimator { prepared: &used, solver: Solver::new(used.grid), roughness };
+    let mut echoes = used.echoes(sensors);
     estimator.project(&mut echoes, wall);
-    let as_recorded = refit(&part.grid, &mut echoes, roughness, wall.clone())?;
+    let as_recorded = refit(&used.grid, &mut echoes, roughness, wall.clone())?;
     let mut found = estimator.estimate(sensors, None, echoes, as_recorded.clone())?;
-    let with_corrections = refit(&part.grid, &mut found.echoes, roughness, found.wall)?;
-    let held_out = prepared.with_frames(|k| k % 2 == 1).echoes(sensors);
+    let with_corrections = refit(&used.grid, &mut found.echoes, roughness, found.wall)?;
     // Beyond three standard deviations an echo says that it is off the wall, not how far.
     let most_mm2 = (3.0 * as_recorded.noise_mm).powi(2);
-    let error_mm2 = |wall: &Wall| -> f64 {
-        let mut echoes = held_out.clone();
+    let error_mm2 = |sensors: &[Pose], wall: &Wall| -> f64 {
+        let mut echoes = others.echoes(sensors);
         estimator.project(&mut echoes, wall);
-        echoes.iter().map(|echo| (echo.residual_mm * echo.residual_mm).min(most_mm2)).sum()
+        let count = echoes.len().max(1) as f64;
+        echoes.iter().map(|echo| (echo.residual_mm * echo.residual_mm).min(most_mm2)).sum::<f64>() / count
     };
-    Ok(error_mm2(&with_corrections) < error_mm2(&as_recorded))
+    let radius_mm = used.grid.radius_mm();
+    let now: Vec<Pose> = sensors.iter().zip(&found.errors).map(|(p, e)| corrected(p, e, radius_mm)).collect();
+    Ok(error_mm2(&now, &with_corrections) < error_mm2(sensors, &as_recorded))
 }
 
 /// Estimates the errors of a recording's poses.
