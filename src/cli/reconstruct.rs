@@ -198,7 +198,11 @@ fn print_tracker(tracker: &sweep::Tracker) {
     let done = tracker.poses_corrected || *shift_mm == 0.0;
     println!(
         "{} (root mean square)",
-        if done { "taken off" } else { "estimated, not taken off: implausible" }
+        if done {
+            "taken off"
+        } else {
+            "estimated, not taken off: implausible, or not confirmed by rays held out"
+        }
     );
     if let (Some(offset_s), Some(error_s)) = (tracker.offset_s, tracker.offset_standard_error_s) {
         let done = if tracker.offset_corrected { "corrected" } else { "not significant, left" };

@@ -99,3 +99,38 @@ fn the_long_help_defines_every_number_and_both_show_examples() {
         assert!(!short.contains(&in_one_line(definition)), "{name}: {short}");
     }
 }
+
+#[test]
+fn a_statistic_of_sections_counts_what_was_measured() {
+    use glam::{DVec2, DVec3};
+    use lumenmesh::geometry::Pose;
+    use lumenmesh::recording::{Frame, Recording};
+    let folder = tempfile::tempdir().unwrap();
+    // Closed up to z = 3, half open beyond.
+    let mut mesh = crate::support::tube(48, 12, 2.0, 12.0);
+    mesh.nodes_mm.iter_mut().for_each(|p| p.z += 6.0);
+    let nodes = mesh.nodes_mm.clone();
+    mesh.triangles.retain(|t| t.iter().all(|&n| nodes[n as usize].z < 5.5 || nodes[n as usize].y > -1e-9));
+    mesh.write(&folder.path().join("mesh.obj")).unwrap();
+    let frame = |k: u32| {
+        let ring = (0..16).map(|j| DVec2::from_angle(f64::from(j) / 16.0 * std::f64::consts::TAU) * 2.0);
+        Frame::new(Pose { translation_mm: DVec3::Z * (0.5 + f64::from(k)), ..Pose::IDENTITY }, ring.collect())
+    };
+    Recording { frames: (0..9).map(frame).collect() }.write(&folder.path().join("frames.mat")).unwrap();
+    // By hand: 1, 2, 3 ... per cent off the area of the mesh, 48-gons of radius 2.
+    let area = 0.5 * 48.0 * 4.0 * (std::f64::consts::TAU / 48.0).sin();
+    let mut by_hand = String::from("frame,lumen_area\n");
+    for k in 0..9 {
+        by_hand += &format!("{k},{}\n", area / (1.0 + 0.01 * f64::from(k + 1)));
+    }
+    std::fs::write(folder.path().join("by_hand.csv"), by_hand).unwrap();
+    let arguments = ["sections", "mesh.obj", "frames.mat", "--against", "by_hand.csv"];
+    let (status, said, _) = lumenmesh(&arguments, folder.path());
+    assert_eq!(status, 0);
+    let expected =
+        "difference of area: 3.00 % over 5 frames with an area, of 9 with a value in the table and 9 in all";
+    assert!(said.contains(expected), "{said}");
+    let (_, json, _) = lumenmesh(&[&arguments[..], &["--json"]].concat(), folder.path());
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!((json["compared"].as_u64(), json["with_value"].as_u64()), (Some(5), Some(9)));
+}

@@ -373,3 +373,65 @@ fn an_unfit_frame_is_refused_live_where_the_settings_say_so() {
     }
     assert!(live.rings() > 10);
 }
+
+#[test]
+fn cylinders_are_stitched_whichever_way_the_probe_looks() {
+    let forwards = bent();
+    let backwards = Recording { frames: forwards.frames.iter().rev().cloned().collect() };
+    let stitched = |recording: &Recording| {
+        let settings = Settings::default().with_method(Method::Cylinders);
+        let lumen = Reconstructor::new(settings.clone()).run(recording).unwrap();
+        let mut live = Live::new(&settings).unwrap();
+        recording.frames.iter().for_each(|frame| drop(live.push(frame).unwrap()));
+        assert_eq!(live.surface().nodes_mm, lumen.surface().nodes_mm);
+        lumen.surface()
+    };
+    let (there, back) = (stitched(&forwards), stitched(&backwards));
+    // Before, a pullback kept its last two cylinders only.
+    let extent = |surface: &Surface| {
+        let z = surface.nodes_mm.iter().map(|p| p.z);
+        z.clone().fold(f64::NEG_INFINITY, f64::max) - z.fold(f64::INFINITY, f64::min)
+    };
+    let (there_mm, back_mm) = (extent(&there), extent(&back));
+    assert!(
+        there_mm > 50.0 && (back_mm - there_mm).abs() < 0.1 * there_mm,
+        "{back_mm} mm, {there_mm} forwards"
+    );
+    for surface in [&there, &back] {
+        // The last cylinder reaches half its height beyond the last frame.
+        assert!(farthest_mm(surface, &forwards) < 8.0);
+        // Normals point outwards: the volume between the wall and any point of the axis is positive.
+        let centre = surface.nodes_mm.iter().sum::<DVec3>() / surface.nodes_mm.len() as f64;
+        let six_volumes: f64 = surface
+            .triangles
+            .iter()
+            .map(|t| {
+                let [a, b, c] = t.map(|node| surface.nodes_mm[node as usize] - centre);
+                a.dot(b.cross(c))
+            })
+            .sum();
+        assert!(six_volumes > 0.0, "{six_volumes}");
+    }
+}
+
+#[test]
+fn a_cylinder_without_points_is_left_out_and_named() {
+    let mut recording = bent();
+    recording.frames[39].cylinder =
+        Some(lumenmesh::recording::CylinderModel::from_axis(400.0, 0.0, DVec3::Z, 4.5));
+    let settings = Settings::default().with_method(Method::Cylinders);
+    let lumen = Reconstructor::new(settings.clone()).run(&recording).unwrap();
+    let report = &lumen.cylinders().unwrap().report;
+    assert_eq!((report.cylinders, report.cylinders_left_out.len()), (11, 1));
+    let left_out = &report.cylinders_left_out[0];
+    assert_eq!((left_out.frame, left_out.reason, left_out.field), (39, Reason::NoCylinder, "section"));
+    let refused = Reconstructor::new(settings.with_unfit_frames(UnfitFrames::Refuse)).run(&recording);
+    assert!(refused.unwrap_err().to_string().starts_with("frame 39: section: found 0 points"));
+}
+
+#[test]
+fn a_wall_that_would_be_invented_is_refused() {
+    let sparse = Recording { frames: bent().frames.iter().step_by(59).cloned().collect() };
+    let message = Reconstructor::new(Settings::default()).run(&sparse).unwrap_err().to_string();
+    assert!(message.contains("frames: found 3 along") && message.contains("one every 4 radii"), "{message}");
+}
