@@ -341,11 +341,19 @@ impl Settings {
                 "a unit quaternion (norm 1 ± 0.001)",
             );
         }
-        if !self.calibration.position_mm.iter().all(|x| x.is_finite()) {
+        // Between sensor and probe lies a catheter's tip.
+        if !self.calibration.position_mm.iter().all(|x| x.abs() <= 10_000.0) {
             return fail(
                 "calibration.position_mm",
                 format!("{:?}", self.calibration.position_mm),
-                "finite mm",
+                "at most 10000 mm in each axis",
+            );
+        }
+        if !self.conventions.contour_centre_mm.iter().all(|x| x.abs() <= 10_000.0) {
+            return fail(
+                "conventions.contour_centre_mm",
+                format!("{:?}", self.conventions.contour_centre_mm),
+                "at most 10000 mm in each axis",
             );
         }
         Ok(())

@@ -205,7 +205,8 @@ fn print_tracker(tracker: &sweep::Tracker) {
         }
     );
     if let (Some(offset_s), Some(error_s)) = (tracker.offset_s, tracker.offset_standard_error_s) {
-        let done = if tracker.offset_corrected { "corrected" } else { "not significant, left" };
+        let done =
+            if tracker.offset_corrected { "corrected" } else { "left: not significant, or implausible" };
         println!("           poses {offset_s:.4} ± {error_s:.4} s older than contours: {done}");
     }
 }

@@ -22,8 +22,9 @@ fn recording(number: u64) -> (Recording, ChaCha8Rng) {
     let frame = |k: usize| {
         let along = step * k as f64;
         let rotation = DMat3::from_quat(DQuat::from_rotation_y(0.01 * along));
-        let contour =
-            (0..rays).map(|j| DVec2::from_angle(f64::from(j) / f64::from(rays) * 6.28) * 4.0).collect();
+        let contour = (0..rays)
+            .map(|j| DVec2::from_angle(f64::from(j) / f64::from(rays) * std::f64::consts::TAU) * 4.0)
+            .collect();
         Frame::new(
             Pose { rotation, translation_mm: DVec3::new(0.005 * along * along, 100.0, along) },
             contour,
@@ -89,7 +90,7 @@ fn spoil(frame: &mut Frame, kind: u32, value: f64, other: &Frame, random: &mut i
 }
 
 fn settings(number: u64) -> Settings {
-    let method = if number % 2 == 0 { Method::Sweep } else { Method::Cylinders };
+    let method = if number.is_multiple_of(2) { Method::Sweep } else { Method::Cylinders };
     let unfit = [UnfitFrames::LeaveOut, UnfitFrames::LeaveOut, UnfitFrames::Keep][(number / 2 % 3) as usize];
     Settings::default().with_method(method).with_backend(Backend::Cpu).with_unfit_frames(unfit).with_every(5)
 }

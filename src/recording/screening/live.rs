@@ -26,9 +26,10 @@ const MIN_ACCEPTED: usize = 5;
 pub(crate) struct LiveScreening {
     /// Frames that have come.
     frames: usize,
-    /// The last frame on the path and its number, and how many frames are on it.
+    /// The last frame on the path and its number, how many frames are on it, and the numbers of the first of them.
     last: Option<(usize, Place)>,
     accepted: usize,
+    head: Vec<usize>,
     /// Jumping runs, in the order of their first frames.
     runs: Vec<Run>,
     /// Decided frames that are still to be handed over, in order.
@@ -241,7 +242,7 @@ impl LiveScreening {
             judged.restart = true;
             let first = run.frames.first().map_or(self.frames, |(number, _)| *number);
             let on_path = self.last.take().map(|(_, place)| place);
-            for number in 0..first {
+            for number in std::mem::take(&mut self.head) {
                 if let Some(on_path) = &on_path {
                     judged.left_out.push(limits.why(number, on_path, &[&place]));
                 }
@@ -289,6 +290,9 @@ impl LiveScreening {
         bound(&mut self.positions_mm);
         self.last = Some((number, place));
         self.accepted += 1;
+        if self.head.len() < JUMP_PRICE as usize {
+            self.head.push(number);
+        }
         self.ready.push_back((number, Some(frame)));
     }
 

@@ -35,7 +35,7 @@ pub struct Tracker {
     pub offset_s: Option<f64>,
     /// Standard error of that, s.
     pub offset_standard_error_s: Option<f64>,
-    /// Whether the offset was corrected: within three standard errors it counts as 0.
+    /// Whether the offset was corrected: within three standard errors it counts as 0, and beyond 5 s it has run away.
     pub offset_corrected: bool,
     /// Steps of the solver.
     pub solver_steps: usize,
@@ -57,6 +57,8 @@ const MAX_SHIFT_RADII: f64 = 0.25;
 const MAX_TURN_DEG: f64 = 15.0;
 /// An offset beyond this many standard errors is significant.
 const SIGNIFICANT: f64 = 3.0;
+/// An offset beyond this is no delay of a tracker or a recorder: the estimate has run away.
+const MAX_OFFSET_S: f64 = 5.0;
 /// Velocities are slopes over the frames within this time before and after, and over at least one frame on each side.
 /// Noise of 0.3 mm at 12 frames per second then makes 0.3 mm/s, a tenth of a catheter's speed; from one frame to the next
 /// it would make 2.5 mm/s.
@@ -94,7 +96,8 @@ impl Tracker {
             report.solver_steps += found.solver_steps;
             report.offset_s = Some(seconds);
             report.offset_standard_error_s = Some(standard_error_s);
-            report.offset_corrected = seconds.abs() > SIGNIFICANT * standard_error_s;
+            report.offset_corrected =
+                seconds.abs() > SIGNIFICANT * standard_error_s && seconds.abs() <= MAX_OFFSET_S;
             if report.offset_corrected {
                 sensors = moved(&sensors, &motions, seconds);
                 *echoes = prepared.echoes(&sensors);
