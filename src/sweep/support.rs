@@ -19,7 +19,7 @@ pub struct Support {
     /// The last frame with an echo of the wall there.
     pub last_frame: Vec<Option<u32>>,
     /// Whether the wall there was measured rather than extrapolated: the standard error is at most 1 % of the lumen's
-    /// radius or twice its median, and no branch opens there.
+    /// radius or twice its median, no branch opens there, and some echo lies as far from the axis.
     pub supported: Vec<bool>,
 }
 
@@ -29,6 +29,8 @@ const MAX_ERROR_RADII: f64 = 0.01;
 const MAX_ERROR_MEDIANS: f64 = 2.0;
 /// Largest share of the echoes about a node that may lie off the wall: with more it is the mouth of a branch.
 const MAX_OFF_WALL: f64 = 0.5;
+/// Largest radius of a supported node, in distances of the farthest echo from the axis.
+const MAX_REACH_RADII: f64 = 1.5;
 /// Largest distance of echoes that count as being about a node, as a share of the circumference.
 const MAX_REACH: f64 = 0.05;
 
@@ -68,16 +70,30 @@ impl Support {
         let mut errors: Vec<f64> =
             statistics.standard_error_mm.iter().copied().filter(|e| e.is_finite()).collect();
         let max_mm = max_error_mm(median(&mut errors), grid);
+        let farthest_mm = echoes
+            .iter()
+            .filter(|echo| is_inlier(echo, wall.noise_mm))
+            .fold(0.0_f64, |farthest, echo| farthest.max(echo.radius_mm));
+        let is_in_reach = |node: usize| is_in_reach(wall.radii_mm[node], farthest_mm);
         Self {
             echoes: tally.own().map(|n| n as u32).collect(),
             supported: (0..grid.node_count())
-                .map(|node| statistics.standard_error_mm[node] <= max_mm && !statistics.is_mouth[node])
+                .map(|node| {
+                    let is_near = statistics.standard_error_mm[node] <= max_mm;
+                    is_near && !statistics.is_mouth[node] && is_in_reach(node)
+                })
                 .collect(),
             residual_mm: statistics.residual_mm,
             standard_error_mm: statistics.standard_error_mm,
             last_frame: tally.last_frame,
         }
     }
+}
+
+/// Whether a radius is one that echoes show, where the farthest of the wall lies so far from the axis. Others come from
+/// slopes that a few echoes leave open.
+pub(super) fn is_in_reach(radius_mm: f64, farthest_mm: f64) -> bool {
+    0.0 < radius_mm && radius_mm <= MAX_REACH_RADII * farthest_mm
 }
 
 /// The largest standard error of a supported node, mm, where the median is `median_mm`.

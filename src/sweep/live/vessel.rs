@@ -13,7 +13,7 @@ use crate::sweep::prepare::axis::Axis;
 use crate::sweep::prepare::contour::Outline;
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::WallGrid;
-use crate::sweep::support::{Support, Tally, max_error_mm};
+use crate::sweep::support::{Support, Tally, is_in_reach, max_error_mm};
 use crate::sweep::wall::equations::Equations;
 use crate::sweep::wall::residual::ResidualModel;
 use crate::sweep::wall::solver::{Solver, System};
@@ -110,6 +110,8 @@ pub(super) struct GrowingVessel {
     bins: Vec<[Option<u16>; 2]>,
     /// The first ring of the background window.
     background: usize,
+    /// Distance of the wall's farthest echo from the axis, mm.
+    farthest_mm: f64,
 }
 
 impl GrowingVessel {
@@ -138,6 +140,7 @@ impl GrowingVessel {
             errors: RunningMedian::new(),
             bins: Vec::new(),
             background: 0,
+            farthest_mm: 0.0,
         };
         vessel.insert_rings(0, rings);
         vessel
@@ -318,7 +321,12 @@ impl GrowingVessel {
             }
             band.latest_s = band.latest_s.max(time_s);
         }
-        band.insert(sample, model, &self.axis, &mut self.residuals, new)
+        let radius_mm = sample.echo.radius_mm;
+        let inserted = band.insert(sample, model, &self.axis, &mut self.residuals, new);
+        if inserted.1 {
+            self.farthest_mm = self.farthest_mm.max(radius_mm);
+        }
+        inserted
     }
 
     /// Marks a band as observed. The wall beyond the observed bands continues with the radii of the last observed ring;
@@ -545,7 +553,9 @@ impl GrowingVessel {
             self.support.residual_mm[node] = statistics.residual_mm[here];
             self.support.standard_error_mm[node] = error_mm;
             self.support.last_frame[node] = tally.last_frame[here];
-            self.support.supported[node] = error_mm <= max_mm && !statistics.is_mouth[here];
+            self.support.supported[node] = error_mm <= max_mm
+                && !statistics.is_mouth[here]
+                && is_in_reach(self.radii_mm[node], self.farthest_mm);
         }
     }
 }
