@@ -232,7 +232,7 @@ impl Frame {
     }
 
     /// The defects that make the frame unusable, at most one per quantity: a pose that is not finite or not a rotation, a
-    /// time that is not finite, a contour point with one coordinate missing, a cylinder that is not finite or whose
+    /// time that is not finite, a contour point with one coordinate missing or farther than 1 km from the probe, a cylinder that is not finite or whose
     /// radius is not positive or larger than that of any vessel.
     pub fn defects(&self) -> Vec<Defect> {
         let position = self.world_from_sensor.translation_mm;
@@ -242,7 +242,12 @@ impl Frame {
         if is_lost {
             add("pose", "none".into(), "a pose: the tracker reported none");
         } else if !position.is_finite() || position.abs().max_element() > MAX_POSITION_MM {
-            add("position", position.to_string(), "three finite numbers in mm, at most 1e6 from the origin");
+            let [x, y, z] = position.to_array().map(shown);
+            add(
+                "position",
+                format!("[{x}, {y}, {z}]"),
+                "three finite numbers in mm, at most 1e6 from the origin",
+            );
         }
         if let Some((found, expected)) = self.rotation_defect().filter(|_| !is_lost) {
             add("rotation", found, expected);
@@ -250,11 +255,13 @@ impl Frame {
         if let Some(t) = self.time_s.filter(|t| !t.is_finite()) {
             add("time", t.to_string(), "a finite number of seconds");
         }
-        let half_there = |p: &DVec2| p.x.is_nan() != p.y.is_nan() || p.x.is_infinite() || p.y.is_infinite();
-        if let Some(i) = self.contour_mm.iter().position(half_there) {
-            let p = self.contour_mm[i];
-            let expected = "two finite numbers in mm, or NaN in both for a missing echo";
-            add("contour", format!("({}, {}) at point {i}", p.x, p.y), expected);
+        let is_echo = |p: &DVec2| p.abs().max_element() <= MAX_POSITION_MM && !p.is_nan();
+        let is_missing = |p: &DVec2| p.x.is_nan() && p.y.is_nan();
+        if let Some(i) = self.contour_mm.iter().position(|p| !is_echo(p) && !is_missing(p)) {
+            let [x, y] = self.contour_mm[i].to_array().map(shown);
+            let expected =
+                "two finite numbers in mm, at most 1e6 from the probe, or NaN in both for a missing echo";
+            add("contour", format!("({x}, {y}) at point {i}"), expected);
         }
         if let Some(c) = &self.cylinder {
             if !c.is_finite() {
@@ -303,6 +310,11 @@ impl Frame {
             Some((format!("|RᵀR - I| = {error:.3e}"), "at most 1e-3 (orthogonal unit axes)"))
         }
     }
+}
+
+/// A number for a message: without hundreds of digits where it is large.
+fn shown(number: f64) -> String {
+    if number.abs() < 1e7 || !number.is_finite() { number.to_string() } else { format!("{number:e}") }
 }
 
 /// Farthest that a sensor lies from its tracker's origin in each axis, mm: a kilometre. Trackers send larger numbers for
