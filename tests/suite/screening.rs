@@ -5,7 +5,7 @@ use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::geometry::Pose;
 use lumenmesh::reconstruction::{Live, Reconstructor};
 use lumenmesh::recording::{
-    Conventions, Frame, LengthUnit, QuaternionOrder, Reason, Recording, Screening, TimeUnit,
+    Conventions, Frame, LeftOut, LengthUnit, QuaternionOrder, Reason, Recording, Screening, TimeUnit,
 };
 use lumenmesh::settings::{Method, Settings, UnfitFrames};
 use lumenmesh::simulate::{Insertion, Phantom, Shape, Simulation, SimulationSettings};
@@ -343,6 +343,23 @@ fn live_leaves_out_what_a_batch_does() {
             assert!(with.max_mm < 5.0, "{maxima}");
         }
     }
+}
+
+#[test]
+fn a_wall_that_changes_abruptly_is_kept_live_too() {
+    let mut narrow = bent();
+    narrow.frames[60..].iter_mut().flat_map(|f| &mut f.contour_mm).for_each(|p| *p *= 0.5);
+    // It widens again, little by little.
+    for (k, frame) in narrow.frames[66..76].iter_mut().enumerate() {
+        frame.contour_mm.iter_mut().for_each(|p| *p *= 1.0 + 0.1 * k as f64);
+    }
+    narrow.frames[76..].iter_mut().flat_map(|f| &mut f.contour_mm).for_each(|p| *p *= 2.0);
+    assert_eq!(reasons(&narrow), []);
+    let mut live = Live::new(&Settings::default()).unwrap();
+    let mut left_out: Vec<LeftOut> = Vec::new();
+    narrow.frames.iter().for_each(|frame| left_out.extend(live.push(frame).unwrap().left_out));
+    left_out.extend(live.flush().unwrap().left_out);
+    assert_eq!(left_out, []);
 }
 
 #[test]

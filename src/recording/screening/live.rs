@@ -197,15 +197,24 @@ impl LiveScreening {
             }
             return;
         }
-        let Some(jump) = limits.jump(last, &place, number - last_number) else {
+        // A frame that goes on where the one before left off belongs with it, also where the path would take it: a wall that
+        // changes abruptly and goes on from there is no wrong contour.
+        let follows = |run: &Run| {
+            run.frames.last().is_some_and(|(before, _)| before + 1 == number)
+                && limits.jump(&run.last, &place, 1).is_none()
+        };
+        let newest = self.runs.len().checked_sub(1).filter(|&r| follows(&self.runs[r]));
+        let jump = limits.jump(last, &place, number - last_number);
+        if newest.is_none() && jump.is_none() {
             let last = last.clone();
             for run in std::mem::take(&mut self.runs) {
                 self.leave_out(run, &limits, &[&last, &place], judged);
             }
             self.accept(number, frame, place, limits);
             return;
-        };
-        let goes_on = self.runs.iter().rposition(|run| limits.jump(&run.last, &place, 1).is_none());
+        }
+        let goes_on =
+            newest.or_else(|| self.runs.iter().rposition(|run| limits.jump(&run.last, &place, 1).is_none()));
         match goes_on {
             Some(r) => {
                 let run = &mut self.runs[r];
@@ -219,7 +228,7 @@ impl LiveScreening {
                 }
             }
             None => {
-                let price = jump.price(usize::MAX);
+                let price = jump.map_or(0.0, |jump| jump.price(usize::MAX));
                 self.runs.push(Run { frames: vec![(number, frame)], last: place, price });
                 if self.waiting() > MAX_WAITING {
                     let last = self.last.as_ref().map(|(_, place)| place.clone());
