@@ -1,5 +1,7 @@
 use super::numbers;
-use crate::recording::{Conventions, LengthUnit, QuaternionOrder, TimeUnit};
+use crate::Result;
+use crate::recording::{Columns, Conventions, LengthUnit, QuaternionOrder, Recording, TimeUnit};
+use std::path::Path;
 
 /// The conventions of the program that wrote the recording, where they are not this one's. `lumenmesh info` names those
 /// that fit better.
@@ -27,9 +29,23 @@ pub(super) struct ConventionArguments {
     /// Unit of the times [default: s]
     #[arg(long, value_enum, value_name = "UNIT")]
     time_unit: Option<TimeUnit>,
+    /// Names of the columns of poses.csv, where it has no line of them
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
+    pose_columns: Option<Vec<String>>,
+    /// Names of the columns of contours.csv, where it has no line of them
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
+    contour_columns: Option<Vec<String>>,
 }
 
 impl ConventionArguments {
+    /// Reads a recording, unchecked.
+    pub(super) fn read(&self, path: &Path) -> Result<Recording> {
+        let columns = Columns::default()
+            .with_poses(self.pose_columns.clone())
+            .with_contours(self.contour_columns.clone());
+        Recording::read_with_columns(path, &columns)
+    }
+
     /// These on top of others.
     pub(super) fn over(&self, mut conventions: Conventions) -> Conventions {
         conventions.quaternion = self.quaternion.unwrap_or(conventions.quaternion);

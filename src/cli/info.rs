@@ -1,6 +1,6 @@
 use super::conventions::ConventionArguments;
 use crate::Result;
-use crate::recording::{Conventions, Recording, Summary};
+use crate::recording::{Conventions, Summary};
 use std::path::PathBuf;
 
 /// Show a summary of a recording
@@ -23,7 +23,7 @@ pub(super) struct Arguments {
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         let conventions = self.conventions.over(Conventions::default());
-        let summary = Summary::of(&conventions.apply(&Recording::read_unchecked(&self.recording)?));
+        let summary = Summary::of(&conventions.apply(&self.conventions.read(&self.recording)?));
         let text = if self.json {
             format!("{:#}\n", serde_json::json!(summary))
         } else {

@@ -64,7 +64,7 @@ impl Arguments {
             [Some(&*self.output), self.cylinders.as_deref()],
             [Some(&*self.recording), self.settings.config()],
         )?;
-        let recording = Recording::read_unchecked(&self.recording)?;
+        let recording = self.settings.read(&self.recording)?;
         let lumen =
             lumen(&recording, &settings, self.cylinders.is_some()).map_err(|e| e.in_file(&self.recording))?;
         if let (Some(path), Some(reconstruction)) = (&self.cylinders, lumen.cylinders()) {

@@ -2,7 +2,7 @@ use super::reconstruct::print_left_out;
 use super::settings::SettingsArguments;
 use super::{Shown, print_json, progress, refuse_inputs};
 use crate::reconstruction::{Live, Work};
-use crate::recording::{FRAME_INTERVAL_S, Finding, LeftOut, Recording, Screening};
+use crate::recording::{FRAME_INTERVAL_S, Finding, LeftOut, Screening};
 use crate::settings::Settings;
 use crate::{Error, Result, surface};
 use serde::Serialize;
@@ -86,7 +86,7 @@ impl Arguments {
         let settings = self.settings.settings()?;
         surface::check_ending(&self.output)?;
         refuse_inputs([Some(&*self.output)], [Some(&*self.recording), self.settings.config()])?;
-        let recording = Recording::read_unchecked(&self.recording)?;
+        let recording = self.settings.read(&self.recording)?;
         let mut live = Live::new(&settings)?;
         let frames = &recording.frames;
         let (mut left_out, mut restarts, mut times_ms, mut rings) =

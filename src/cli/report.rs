@@ -3,7 +3,7 @@ use super::settings::SettingsArguments;
 use super::{Shown, print_json, refuse_inputs};
 use crate::evaluate::{Coverage, Truth, evaluate_covered};
 use crate::output::{ending, write_atomically};
-use crate::recording::{Recording, Screened};
+use crate::recording::Screened;
 use crate::report::{PageContent, html};
 use crate::surface::Surface;
 use crate::{Error, Result};
@@ -45,7 +45,7 @@ impl Arguments {
             [Some(&*self.output)],
             [Some(&*self.recording), self.truth.as_deref(), self.settings.config()],
         )?;
-        let recording = Recording::read_unchecked(&self.recording)?;
+        let recording = self.settings.read(&self.recording)?;
         let truth = self.truth.as_deref().map(|path| Truth::new(Surface::read(path)?)).transpose()?;
         let lumen = lumen(&recording, &settings, truth.is_some()).map_err(|e| e.in_file(&self.recording))?;
         let evaluation = truth

@@ -1,5 +1,6 @@
 use super::conventions::ConventionArguments;
 use super::numbers;
+use crate::recording::Recording;
 use crate::settings::{Backend, Merge, Method, Outliers, Settings, Statistic, UnfitFrames};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -84,6 +85,11 @@ impl SettingsArguments {
     /// The file that is read.
     pub(super) fn config(&self) -> Option<&Path> {
         self.config.as_deref()
+    }
+
+    /// Reads a recording, unchecked.
+    pub(super) fn read(&self, recording: &Path) -> Result<Recording> {
+        self.conventions.read(recording)
     }
 
     /// The settings of the file, or the defaults, with the flags on top.

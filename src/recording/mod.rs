@@ -164,7 +164,19 @@ impl Recording {
     /// Where a file cannot be read, lacks a variable, or has one of a wrong shape or of one that can be read in
     /// two ways.
     pub fn read_unchecked(path: &Path) -> Result<Self> {
-        if path.is_dir() { formats::csv::read(path) } else { formats::mat::read_by_ending(path) }
+        Self::read_with_columns(path, &Columns::default())
+    }
+
+    /// As [`Recording::read_unchecked`], of a folder whose files lack lines of column names.
+    ///
+    /// # Errors
+    /// As [`Recording::read_unchecked`], and where columns are named for a `.mat` file.
+    pub fn read_with_columns(path: &Path, columns: &Columns) -> Result<Self> {
+        match path.is_dir() {
+            true => formats::csv::read(path, columns),
+            false if *columns == Columns::default() => formats::mat::read_by_ending(path),
+            false => Err(Error::input(path, "column names", "a file", "a folder of CSV files")),
+        }
     }
 
     /// The number of the frame at place `k`, for messages: the one that its file gives it, or else `k`.
@@ -204,6 +216,22 @@ impl Recording {
         self.frames.iter().enumerate().try_for_each(|(k, frame)| frame.check(self.number(k)))
     }
 }
+
+/// Names of the columns of CSV files that lack a line of them, in their order, by the names that these files have
+/// otherwise; `None` for a file that has one.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct Columns {
+    /// Of `poses.csv`.
+    pub poses: Option<Vec<String>>,
+    /// Of `contours.csv`.
+    pub contours: Option<Vec<String>>,
+}
+
+crate::setters::setters!(Columns {
+    with_poses => poses: Option<Vec<String>>,
+    with_contours => contours: Option<Vec<String>>,
+});
 
 /// Why a frame cannot be used.
 #[derive(Debug, Clone, PartialEq)]

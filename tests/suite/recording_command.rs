@@ -366,3 +366,32 @@ fn a_roll_in_the_poses_shows_as_turns() {
     assert!((summary.turn_rad.unwrap().median - 0.01).abs() < 1e-6);
     assert_eq!(summary.defects, []);
 }
+
+#[test]
+fn files_without_column_names_are_read_with_names_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = some_recording();
+    recording.write(&folder.path().join("named")).unwrap();
+    std::fs::create_dir(folder.path().join("bare")).unwrap();
+    let text = |name: &str| std::fs::read_to_string(folder.path().join("named").join(name)).unwrap();
+    let without_names = |text: &str| text.split_once('\n').unwrap().1.to_owned();
+    std::fs::write(folder.path().join("bare/poses.csv"), without_names(&text("poses.csv"))).unwrap();
+    // In another order: y, x, frame.
+    let contours = without_names(&text("contours.csv"));
+    let turned: String =
+        contours.lines().map(|line| line.split(',').rev().collect::<Vec<_>>().join(",") + "\n").collect();
+    std::fs::write(folder.path().join("bare/contours.csv"), turned).unwrap();
+    let info = |arguments: &[&str]| lumenmesh(&[&["info", "--json"], arguments].concat(), folder.path());
+    let (status, _, said) = info(&["bare"]);
+    assert!(status == 1 && said.contains("found no line of column names"), "{said}");
+    let names =
+        ["--pose-columns", "frame,time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw", "--contour-columns", "y_mm,x_mm,frame"];
+    let (status, bare, said) = info(&[&["bare"], &names[..]].concat());
+    assert_eq!((status, said.as_str()), (0, ""));
+    assert_eq!(bare, info(&["named"]).1);
+    let (status, _, said) = info(&["bare", names[0], "frame,x_mm", names[2], names[3]]);
+    assert!(status == 1 && said.contains("found 9 fields, expected 2"), "{said}");
+    recording.write(&folder.path().join("rec.mat")).unwrap();
+    let (status, _, said) = info(&[&["rec.mat"], &names[..]].concat());
+    assert!(status == 1 && said.contains("expected a folder of CSV files"), "{said}");
+}

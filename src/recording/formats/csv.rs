@@ -15,7 +15,7 @@ use super::table::{Column, Table, TableRow};
 use super::{rising_numbers, rotation};
 use crate::geometry::Pose;
 use crate::output::{Unfinished, folder_of, lock, permissions_of_new, write_atomically};
-use crate::recording::CylinderModel;
+use crate::recording::{Columns, CylinderModel};
 use crate::recording::{Frame, Recording};
 use crate::{Error, Result};
 use glam::{DQuat, DVec2, DVec3};
@@ -27,11 +27,11 @@ const POSES: &str = "poses.csv";
 const CONTOURS: &str = "contours.csv";
 const CYLINDERS: &str = "cylinders.csv";
 
-pub(in crate::recording) fn read(folder: &Path) -> Result<Recording> {
+pub(in crate::recording) fn read(folder: &Path, columns: &Columns) -> Result<Recording> {
     let _unchanged = locked(folder, Use::Read);
-    let mut frames = read_poses(&folder.join(POSES))?;
+    let mut frames = read_poses(&folder.join(POSES), columns.poses.as_deref())?;
 
-    read_contours(&folder.join(CONTOURS), &mut frames)?;
+    read_contours(&folder.join(CONTOURS), columns.contours.as_deref(), &mut frames)?;
     if folder.join(CYLINDERS).exists() {
         let mut cylinders = Table::open(&folder.join(CYLINDERS))?;
         let frame_column = cylinders.column("frame")?;
@@ -63,8 +63,8 @@ pub(in crate::recording) fn read(folder: &Path) -> Result<Recording> {
 }
 
 /// Frames by their numbers, without contours.
-fn read_poses(path: &Path) -> Result<BTreeMap<usize, Frame>> {
-    let mut table = Table::open(path)?;
+fn read_poses(path: &Path, names: Option<&[String]>) -> Result<BTreeMap<usize, Frame>> {
+    let mut table = Table::open_named(path, names)?;
     let frame_column = table.column("frame")?;
     let time = table.optional_column("time_s")?;
     let columns = table.columns(["x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"], 0)?;
@@ -93,8 +93,8 @@ fn read_poses(path: &Path) -> Result<BTreeMap<usize, Frame>> {
 
 /// Adds contours to the frames: a line per point, or a line per frame with the columns `x0`, `y0`, `x1`, … in
 /// any order.
-fn read_contours(path: &Path, frames: &mut BTreeMap<usize, Frame>) -> Result<()> {
-    let mut table = Table::open(path)?;
+fn read_contours(path: &Path, names: Option<&[String]>, frames: &mut BTreeMap<usize, Frame>) -> Result<()> {
+    let mut table = Table::open_named(path, names)?;
     let frame_column = table.column("frame")?;
     let [xs, ys] = [table.numbered_columns("x_mm")?, table.numbered_columns("y_mm")?];
     let is_wide = !xs.is_empty() && table.optional_column("x_mm")?.is_none();

@@ -63,6 +63,14 @@ const SHOWN: usize = 40;
 
 impl Table {
     pub fn open(path: &Path) -> Result<Self> {
+        Self::open_named(path, None)
+    }
+
+    /// As [`open`](Self::open); with names, the file has no line of column names, and these stand for it.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_named(path: &Path, names: Option<&[String]>) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
         let text = text::decoded(&bytes).into_owned();
         if text.contains('\0') {
@@ -76,7 +84,13 @@ impl Table {
             table.next = start;
         }
         table.delimiter = stated.unwrap_or_else(|| table.likeliest_delimiter());
-        table.read_header()?;
+        match names {
+            None => table.read_header()?,
+            Some(names) => {
+                table.header = names.iter().map(|name| Header::new(name)).collect();
+                table.width = names.len();
+            }
+        }
         Ok(table)
     }
 
