@@ -390,7 +390,7 @@ fn files_without_column_names_are_read_with_names_given() {
     assert_eq!((status, said.as_str()), (0, ""));
     assert_eq!(bare, info(&["named"]).1);
     let (status, _, said) = info(&["bare", names[0], "frame,x_mm", names[2], names[3]]);
-    assert!(status == 1 && said.contains("found 9 fields, expected 2"), "{said}");
+    assert!(status == 1 && said.contains("found columns frame, x_mm, expected a column y_mm"), "{said}");
     recording.write(&folder.path().join("rec.mat")).unwrap();
     let (status, _, said) = info(&[&["rec.mat"], &names[..]].concat());
     assert!(status == 1 && said.contains("expected a folder of CSV files"), "{said}");
