@@ -375,6 +375,24 @@ fn a_sensor_that_is_moved_elsewhere_is_followed_live() {
 }
 
 #[test]
+fn frames_do_not_wait_for_ever() {
+    let frames = bent().frames;
+    let mut live = Live::new(&Settings::default()).unwrap();
+    frames[..60].iter().for_each(|frame| drop(live.push(frame).unwrap()));
+    let mut jumped = frames[60].clone();
+    jumped.world_from_sensor.translation_mm.x += 100.0;
+    assert_eq!(live.push(&jumped).unwrap().waiting, 1);
+    let lost = Frame::new(Pose::LOST, Vec::new());
+    let waiting: Vec<usize> = (0..1000).map(|_| live.push(&lost).unwrap().waiting).collect();
+    let most = waiting.iter().max().copied();
+    assert!(
+        most > Some(100) && most <= Some(160) && waiting[999] == 0,
+        "{most:?}, {} in the end",
+        waiting[999]
+    );
+}
+
+#[test]
 fn an_unfit_frame_is_refused_live_where_the_settings_say_so() {
     let recording = simulation().recording;
     let strict = Settings::default().with_unfit_frames(UnfitFrames::Refuse);

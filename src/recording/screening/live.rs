@@ -90,6 +90,11 @@ impl LiveScreening {
             }
             None => self.place(number, frame, &mut judged),
         }
+        // Also where frames without a pose or an image follow one that jumps, and nothing ever decides.
+        while self.waiting() > MAX_WAITING {
+            let oldest = self.runs.remove(0);
+            self.leave_out_beside_the_path(vec![oldest], &mut judged);
+        }
         self.hand_over(FRAMES_AT_A_TIME, &mut judged);
         judged
     }
@@ -97,13 +102,18 @@ impl LiveScreening {
     /// Ends the waiting: frames that are undecided are left out.
     pub fn flush(&mut self) -> Judged {
         let mut judged = Judged::default();
-        let last = self.last.as_ref().map(|(_, place)| place.clone());
-        let limits = self.limits();
-        for run in std::mem::take(&mut self.runs) {
-            self.leave_out(run, &limits, &last.iter().collect::<Vec<_>>(), &mut judged);
-        }
+        let runs = std::mem::take(&mut self.runs);
+        self.leave_out_beside_the_path(runs, &mut judged);
         self.hand_over(usize::MAX, &mut judged);
         judged
+    }
+
+    fn leave_out_beside_the_path(&mut self, runs: Vec<Run>, judged: &mut Judged) {
+        let last = self.last.as_ref().map(|(_, place)| place.clone());
+        let limits = self.limits();
+        for run in runs {
+            self.leave_out(run, &limits, &last.iter().collect::<Vec<_>>(), judged);
+        }
     }
 
     /// Hands over decided frames, at most so many that are used.
@@ -230,12 +240,6 @@ impl LiveScreening {
             None => {
                 let price = jump.map_or(0.0, |jump| jump.price(usize::MAX));
                 self.runs.push(Run { frames: vec![(number, frame)], last: place, price });
-                if self.waiting() > MAX_WAITING {
-                    let last = self.last.as_ref().map(|(_, place)| place.clone());
-                    let beside: Vec<&Place> = last.iter().collect();
-                    let oldest = self.runs.remove(0);
-                    self.leave_out(oldest, &limits, &beside, judged);
-                }
             }
         }
     }
