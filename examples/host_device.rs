@@ -17,15 +17,16 @@ use std::error::Error;
 use std::time::Duration;
 
 const POINTS: u32 = 20_000;
-const RADIUS_MM: f64 = 12.0;
+/// Of the undeformed tube.
+pub const RADIUS_MM: f64 = 12.0;
 
 /// What the host found.
 #[derive(Debug)]
 pub struct Compared {
     /// The adapter.
     pub adapter: String,
-    /// Nodes of the tube.
-    pub nodes: usize,
+    /// Radii of the tube's nodes, mm.
+    pub radii_mm: Vec<f64>,
     /// Largest difference between a radius from the device and from the CPU engine, mm.
     pub largest_difference_mm: f64,
 }
@@ -33,7 +34,7 @@ pub struct Compared {
 fn main() -> Result<(), Box<dyn Error>> {
     let name = std::env::args().nth(1);
     let compared = run(name.as_deref())?;
-    println!("{} radii from {}", compared.nodes, compared.adapter);
+    println!("{} radii from {}", compared.radii_mm.len(), compared.adapter);
     println!("largest difference to the CPU engine: {:e} mm", compared.largest_difference_mm);
     Ok(())
 }
@@ -55,7 +56,7 @@ pub fn run(adapter: Option<&str>) -> Result<Compared, Box<dyn Error>> {
 
     // 2. The engine on that device, and device memory for one tube. A workspace is made once and recorded as
     //    often as there are new points; `warm_up` builds all pipelines now, not at the first recording.
-    let settings = Settings::default().with_nodes(24).with_levels(8);
+    let settings = settings();
     let engine = GpuEngine::on_device(device.clone(), queue.clone())?;
     engine.warm_up()?;
     let workspace = engine.prepare(POINTS, RADIUS_MM, &settings)?;
@@ -100,16 +101,22 @@ pub fn run(adapter: Option<&str>) -> Result<Compared, Box<dyn Error>> {
 
     // 6. The CPU engine computes the same passes in the same f32.
     let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings)?.tube;
-    let difference = |(a, b): (&f32, &f64)| (f64::from(*a) - b).abs();
+    let radii_mm: Vec<f64> = found.into_iter().map(f64::from).collect();
+    let difference = |(a, b): (&f64, &f64)| (a - b).abs();
     Ok(Compared {
         adapter: adapter.get_info().name,
-        nodes: expected.radii_mm.len(),
-        largest_difference_mm: found.iter().zip(&expected.radii_mm).map(difference).fold(0.0, f64::max),
+        largest_difference_mm: radii_mm.iter().zip(&expected.radii_mm).map(difference).fold(0.0, f64::max),
+        radii_mm,
     })
 }
 
+/// A tube of 24 nodes around and 8 faces along.
+pub fn settings() -> Settings {
+    Settings::default().with_nodes(24).with_levels(8)
+}
+
 /// A wall with an oval section, in tube coordinates: points on a spiral, so that no random numbers are needed.
-fn points() -> Section<f32> {
+pub fn points() -> Section<f32> {
     let mut section = Section::default();
     for i in 0..POINTS {
         let turn = f64::from(i) * 0.618_033_988_749_895;

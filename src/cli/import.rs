@@ -2,7 +2,7 @@ use super::refuse_inputs;
 use crate::Result;
 use crate::cylinders::estimate::{CylinderEstimator, Upright};
 use crate::geometry::Pose;
-use crate::recording::{Pullback, PullbackPath, Summary};
+use crate::recording::{Pullback, PullbackOptions, PullbackPath, Summary};
 use glam::DVec2;
 use std::path::PathBuf;
 
@@ -26,7 +26,8 @@ enum Source {
 /// constant.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  lumenmesh import pullback contours.csv -o pullback.mat --upright\n  \
-    lumenmesh import pullback contours.csv -o pullback --centreline vessel.csv --centre 4.5,4.5")]
+    lumenmesh import pullback contours.csv -o pullback --centreline vessel.csv --centre 4.5,4.5\n  \
+    lumenmesh import pullback points.txt -o pullback.mat --columns x_mm,y_mm,z_mm,frame")]
 struct PullbackArguments {
     /// The contours
     contours: PathBuf,
@@ -39,6 +40,9 @@ struct PullbackArguments {
     /// The probe in the image, mm [default: mean of the contours' centroids]
     #[arg(long, value_name = "X,Y", value_parser = point, allow_hyphen_values = true)]
     centre: Option<DVec2>,
+    /// Names of the file's columns, where it has no line of them and they are not in this order
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
+    columns: Option<Vec<String>>,
     /// Give every frame a cylinder perpendicular to it, about its contour's centroid
     #[arg(long)]
     upright: bool,
@@ -67,7 +71,11 @@ impl PullbackArguments {
     fn run(self) -> Result<()> {
         refuse_inputs([Some(&*self.output)], [Some(&*self.contours), self.centreline.as_deref()])?;
         let centreline = self.centreline.as_deref().map(PullbackPath::read).transpose()?;
-        let mut pullback = Pullback::read(&self.contours, self.centre, centreline.as_ref())?;
+        let options = PullbackOptions::default()
+            .with_centre_mm(self.centre)
+            .with_centreline(centreline)
+            .with_columns(self.columns);
+        let mut pullback = Pullback::read(&self.contours, &options)?;
         if self.upright {
             let mut upright = Upright { sensor_from_probe: Pose::IDENTITY };
             pullback.recording.frames.iter_mut().for_each(|frame| frame.cylinder = upright.push(frame));

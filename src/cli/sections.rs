@@ -1,7 +1,7 @@
 use super::{Shown, print_json, read_screened, refuse_inputs};
 use crate::evaluate::{LumenSection, read_values, sections};
 use crate::output::write_atomically;
-use crate::recording::{LeftOut, Pullback};
+use crate::recording::{LeftOut, Pullback, PullbackOptions};
 use crate::settings::Settings;
 use crate::surface::Surface;
 use crate::{Error, Result};
@@ -156,7 +156,7 @@ impl Arguments {
         let values = read_values(table, &self.column)?;
         let numbers: Vec<u64> = match &self.numbers {
             Some(path) => {
-                let numbers = Pullback::read(path, None, None)?.frame_numbers;
+                let numbers = Pullback::read(path, &PullbackOptions::default())?.frame_numbers;
                 if numbers.len() != sections.len() {
                     let expected = format!("{}, as in {}", sections.len(), self.recording.display());
                     return Err(Error::input(path, "frames", numbers.len(), expected));

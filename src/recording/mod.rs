@@ -14,7 +14,7 @@ pub use cylinder::CylinderModel;
 pub(crate) use cylinder::MAX_RADIUS_MM;
 pub use finding::{Example, Finding};
 pub(crate) use formats::Table;
-pub use pullback::{Pullback, PullbackPath};
+pub use pullback::{Pullback, PullbackOptions, PullbackPath};
 pub(crate) use screening::{Judged, LiveScreening};
 pub use screening::{LeftOut, NoEcho, Reason, Screened, Screening, UnfitFrames};
 pub use summary::{MinMedianMax, Summary};

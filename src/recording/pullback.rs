@@ -25,6 +25,25 @@ pub struct Pullback {
     pub centre_mm: DVec2,
 }
 
+/// How the file of a [`Pullback`] is read, and what is assumed about its poses.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
+pub struct PullbackOptions {
+    /// Where the probe lies in the image, mm; without one, the mean over the frames of their contours' area centroids.
+    pub centre_mm: Option<DVec2>,
+    /// What the probe's z axis lies along, from its first point, which takes the smallest pullback position; without one,
+    /// the world's z axis.
+    pub centreline: Option<PullbackPath>,
+    /// Names of the file's columns, where it has no line of them and they are not in the usual order.
+    pub columns: Option<Vec<String>>,
+}
+
+crate::setters::setters!(PullbackOptions {
+    with_centre_mm => centre_mm: Option<DVec2>,
+    with_centreline => centreline: Option<PullbackPath>,
+    with_columns => columns: Option<Vec<String>>,
+});
+
 impl Pullback {
     /// Reads contours with one line per wall point: frame number, x, y in the image and pullback position z, mm.
     ///
@@ -32,15 +51,11 @@ impl Pullback {
     /// `y_mm` and `z_mm`, also without a unit or with another one, which is converted. A last point that
     /// repeats its contour's first is dropped.
     ///
-    /// The probe's origin is `centre_mm`, or else the mean over the frames of their contours' area centroids. The
-    /// probe's z axis lies along the world's, or else along `centreline` from its first point, which takes the
-    /// smallest pullback position.
-    ///
     /// # Errors
     /// Where the file cannot be read, a line is not a point of one frame at one position, no contour has an area whose
     /// centroid could serve as the probe's origin, or the centreline is shorter than the pullback.
-    pub fn read(path: &Path, centre_mm: Option<DVec2>, centreline: Option<&PullbackPath>) -> Result<Self> {
-        let mut contours: Vec<Contour> = read_contours(path)?;
+    pub fn read(path: &Path, options: &PullbackOptions) -> Result<Self> {
+        let mut contours: Vec<Contour> = read_contours(path, options.columns.as_deref())?;
         contours.sort_by(|a, b| a.position_mm.total_cmp(&b.position_mm).then(a.number.cmp(&b.number)));
         let (Some(first), Some(last)) = (contours.first(), contours.last()) else {
             return Err(Error::input(path, "contours", "no lines", "at least one contour"));
@@ -48,7 +63,7 @@ impl Pullback {
         let start_mm = first.position_mm;
         let length_mm = last.position_mm - start_mm;
         let positions_mm: Vec<f64> = contours.iter().map(|c| c.position_mm).collect();
-        let poses: Vec<Pose> = match centreline {
+        let poses: Vec<Pose> = match &options.centreline {
             None => {
                 let at = |&z: &f64| Pose { translation_mm: DVec3::Z * z, ..Pose::IDENTITY };
                 positions_mm.iter().map(at).collect()
@@ -70,7 +85,7 @@ impl Pullback {
             Frame::new(pose, contour.points_mm).with_number(number)
         };
         let mut frames: Vec<Frame> = poses.into_iter().zip(contours).enumerate().map(frame).collect();
-        let centre_mm = match centre_mm {
+        let centre_mm = match options.centre_mm {
             Some(centre) => centre,
             None => mean(frames.iter().filter_map(Frame::centroid_mm)).ok_or_else(|| {
                 Error::input(path, "contours", "none with an area", "a contour to find the probe's origin by")
@@ -100,8 +115,8 @@ struct Contour {
     points_mm: Vec<DVec2>,
 }
 
-fn read_contours(path: &Path) -> Result<Vec<Contour>> {
-    let mut table = Table::open(path)?;
+fn read_contours(path: &Path, columns: Option<&[String]>) -> Result<Vec<Contour>> {
+    let mut table = Table::open_named(path, columns)?;
     let [frame, x, y, z] = table.columns(["frame", "x_mm", "y_mm", "z_mm"], 0)?;
     let mut contours: BTreeMap<u64, Contour> = BTreeMap::new();
     while let Some(row) = table.next_row()? {

@@ -6,7 +6,9 @@ use glam::{DQuat, DVec2, DVec3};
 use hdf5_pure::{AttrValue, DatasetBuilder, FileBuilder};
 use lumenmesh::evaluate::read_values;
 use lumenmesh::geometry::Pose;
-use lumenmesh::recording::{CylinderModel, Frame, Pullback, PullbackPath, Recording, Summary};
+use lumenmesh::recording::{
+    CylinderModel, Frame, Pullback, PullbackOptions, PullbackPath, Recording, Summary,
+};
 use lumenmesh::simulate::Centreline;
 use std::io::Write;
 use std::path::Path;
@@ -262,7 +264,9 @@ fn pullbacks() {
         b"z (mm);frame;x;y\n0,5;1;1;0\n0,5;1;0;1\n0,5;1;-1;-1\n".to_vec(),
     ];
     let file = File::new("pullback.csv");
-    let accepted = fuzz(&seeds, &CSV_TOKENS, |bytes| Pullback::read(file.holding(bytes), None, None).is_ok());
+    let accepted = fuzz(&seeds, &CSV_TOKENS, |bytes| {
+        Pullback::read(file.holding(bytes), &PullbackOptions::default()).is_ok()
+    });
     assert!(0 < accepted && accepted < inputs(), "{accepted} accepted");
 }
 

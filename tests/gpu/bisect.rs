@@ -30,9 +30,10 @@ fn the_device_may_take_over_after_any_stage() {
         let expected_tube = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
         for stages in STAGES {
             other.engine = other.engine.with_cpu_stages(stages);
-            assert_all_agree(device, &other.engine.fit(&request).unwrap().cylinders, &expected);
+            let found = other.engine.fit(&request).unwrap().cylinders;
+            assert_all_agree(device, &found, &expected, &recording, &settings);
             let tube = other.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
-            assert_agree(device, &tube, &expected_tube);
+            assert_agree(device, &tube, &expected_tube, &section, &settings);
         }
     }
 }

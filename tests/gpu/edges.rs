@@ -14,7 +14,7 @@ fn agrees(device: &Device, section: &Section<f32>, settings: &Settings) {
     let expected = CpuEngine::<f32>::new().fit_section(section, RADIUS_MM, settings).unwrap().tube;
     let found = device.engine.fit_section(section, RADIUS_MM, settings).unwrap().tube;
     assert_eq!(found.points, section.len() as u64);
-    assert_agree(device, &found, &expected);
+    assert_agree(device, &found, &expected, section, settings);
 }
 
 #[test]
@@ -149,7 +149,8 @@ fn echoes_far_away_are_left_out_as_on_the_cpu() {
     let track = Track::of(&pullback, &settings).unwrap();
     let request = FitRequest::new(&track, &[9, 19], &settings);
     let expected = CpuEngine::<f32>::new().fit(&request).unwrap().cylinders;
-    assert_all_agree(device, &device.engine.fit(&request).unwrap().cylinders, &expected);
+    let found = device.engine.fit(&request).unwrap().cylinders;
+    assert_all_agree(device, &found, &expected, &pullback, &settings);
     // Farther ones, whose squares are too large for single precision, are no echoes.
     pullback.frames[3].contour_mm[3] = DVec2::new(1e19, -1e19);
     assert!(Track::of(&pullback, &settings).is_err());

@@ -37,7 +37,7 @@ fn ten_million_points_and_four_million_faces_within_8_gib() {
     let start = Instant::now();
     let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
     println!("CPU: {:.2} s", start.elapsed().as_secs_f64());
-    assert_agree(device, &found, &expected);
+    assert_agree(device, &found, &expected, &section, &settings);
 }
 
 /// llvmpipe ends an invocation's loops after 65,535 rounds in all, without an error of its own.
@@ -49,7 +49,7 @@ fn a_face_with_more_points_than_a_driver_s_loops_allow_is_never_a_wrong_result()
     match device.engine.fit_section(&section, RADIUS_MM, &settings) {
         Ok(found) => {
             let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
-            assert_agree(device, &found.tube, &expected);
+            assert_agree(device, &found.tube, &expected, &section, &settings);
         }
         Err(Error::Gpu(GpuError::Unfinished { finished, expected, .. })) => {
             assert!(finished < expected && expected == 3, "{finished} of {expected}");

@@ -17,6 +17,7 @@ mod host;
 mod large;
 mod measure;
 mod noop;
+mod nudge;
 mod order;
 mod project;
 mod record;

@@ -41,7 +41,7 @@ fn a_recording_fits_as_on_the_cpu_with_every_rule_and_grid() {
                 assert_eq!(ready.load(Ordering::Relaxed), frames.len());
                 let expected =
                     CpuEngine::<f32>::new().fit(&request.with_progress(&|_| ())).unwrap().cylinders;
-                assert_all_agree(device, &found, &expected);
+                assert_all_agree(device, &found, &expected, &recording, &settings);
             }
         }
     }
@@ -73,10 +73,12 @@ fn golden_cylinders_come_out_to_the_precision_of_f32() {
         let mut frames: Vec<usize> = radii.keys().map(|key| key.0).collect();
         frames.dedup();
         let settings = Settings::default().with_nodes(nodes).with_levels(levels).with_statistic(statistic);
-        let track = Track::of(&Recording::read(&recording).unwrap(), &settings).unwrap();
+        let recording = Recording::read(&recording).unwrap();
+        let track = Track::of(&recording, &settings).unwrap();
         let request = FitRequest::new(&track, &frames, &settings).with_history(true);
         let found = device.engine.fit(&request).unwrap().cylinders;
-        assert_all_agree(device, &found, &CpuEngine::<f32>::new().fit(&request).unwrap().cylinders);
+        let expected = CpuEngine::<f32>::new().fit(&request).unwrap().cylinders;
+        assert_all_agree(device, &found, &expected, &recording, &settings);
 
         let mut differences: Vec<f64> = Vec::new();
         for cylinder in &found {

@@ -7,7 +7,7 @@ use lumenmesh::cylinders::CylinderReconstruction;
 use lumenmesh::cylinders::estimate::{CylinderEstimator, LocalEstimate, Upright};
 use lumenmesh::evaluate::{LumenSection, read_values, sections};
 use lumenmesh::geometry::Pose;
-use lumenmesh::recording::{Frame, Pullback, Recording};
+use lumenmesh::recording::{Frame, Pullback, PullbackOptions, Recording};
 use lumenmesh::settings::Settings;
 use lumenmesh::surface::SectionOutline;
 use lumenmesh::sweep::Sweep;
@@ -41,7 +41,7 @@ struct Case {
 fn cases() -> impl Iterator<Item = Case> {
     PULLBACKS.into_iter().filter_map(|which| {
         let (contours, by_hand) = files(which)?;
-        let pullback = Pullback::read(&contours, None, None).unwrap();
+        let pullback = Pullback::read(&contours, &PullbackOptions::default()).unwrap();
         let by_hand_mm2 = read_values(&by_hand, "lumen_area").unwrap();
         // Every frame has its area: none is left out of what follows.
         assert!(pullback.frame_numbers.iter().all(|number| by_hand_mm2.contains_key(number)));

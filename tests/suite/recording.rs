@@ -819,6 +819,11 @@ fn contours_may_have_one_line_for_each_frame() {
             "contours.csv: x_mm: found two columns of one number, expected one of each",
         ),
         ("frame,x0,y0\n3,1,\n", "contours.csv: frame 3: contour: found (1, NaN) at point 0"),
+        (
+            "frame,x0,y0\n4,1,2\n5,1,2\n",
+            "contours.csv: frame: found frames 4 to 5, expected 3 to 4 as in poses.csv: one counts from 0 and the \
+             other from 1",
+        ),
     ] {
         let message = read(contours).unwrap_err();
         assert!(message.contains(expected), "{message}");

@@ -4,7 +4,7 @@ use crate::support::{lumenmesh, names, shared};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use lumenmesh::cylinders::estimate::{CylinderEstimator, LocalEstimate};
 use lumenmesh::geometry::Pose;
-use lumenmesh::recording::{Frame, Pullback, PullbackPath, Recording, Summary};
+use lumenmesh::recording::{Frame, Pullback, PullbackOptions, PullbackPath, Recording, Summary};
 use serde_json::Value;
 use std::f64::consts::TAU;
 
@@ -200,7 +200,7 @@ fn a_pullback_becomes_frames_by_rising_position_about_one_origin() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("contours.tsv");
     std::fs::write(&path, pullback_text()).unwrap();
-    let pullback = Pullback::read(&path, None, None).unwrap();
+    let pullback = Pullback::read(&path, &PullbackOptions::default()).unwrap();
     assert_eq!(pullback.frame_numbers, [12, 40, 90, 385]);
     assert_eq!((0..4).map(|k| pullback.recording.number(k)).collect::<Vec<_>>(), [12, 40, 90, 385]);
     assert_eq!(pullback.positions_mm, [1.0, 3.0, 5.0, 7.0]);
@@ -210,7 +210,9 @@ fn a_pullback_becomes_frames_by_rising_position_about_one_origin() {
         assert!(frame.contour_mm[0].abs_diff_eq(DVec2::new(2.0, 0.0), 1e-12));
         assert_eq!(frame.world_from_sensor, Pose { translation_mm: DVec3::Z * z, ..Pose::IDENTITY });
     }
-    let elsewhere = Pullback::read(&path, Some(DVec2::new(3.0, 5.0)), None).unwrap();
+    let elsewhere =
+        Pullback::read(&path, &PullbackOptions::default().with_centre_mm(Some(DVec2::new(3.0, 5.0))))
+            .unwrap();
     assert!(elsewhere.recording.frames[0].contour_mm[0].abs_diff_eq(DVec2::new(3.0, 0.0), 1e-12));
     // With names, in another order and dialect, the same.
     let mut named = "z_mm;x_mm;frame;y_mm\r\n".to_owned();
@@ -218,8 +220,19 @@ fn a_pullback_becomes_frames_by_rising_position_about_one_origin() {
         let [number, x, y, z] = line.split('\t').collect::<Vec<_>>()[..] else { panic!("{line}") };
         named += &format!("{z};{x};{number};{y}\r\n").replace('.', ",");
     }
-    std::fs::write(&path, named).unwrap();
-    assert_eq!(Pullback::read(&path, None, None).unwrap(), pullback);
+    std::fs::write(&path, &named).unwrap();
+    assert_eq!(Pullback::read(&path, &PullbackOptions::default()).unwrap(), pullback);
+    // Without names in the file, but given.
+    std::fs::write(&path, named.split_once('\n').unwrap().1).unwrap();
+    let named = |names: &[&str]| {
+        let names = names.iter().map(|name| name.to_string()).collect();
+        Pullback::read(&path, &PullbackOptions::default().with_columns(Some(names)))
+    };
+    assert_eq!(named(&["z_mm", "x_mm", "frame", "y_mm"]).unwrap(), pullback);
+    let said = named(&["z_mm", "x_mm", "frame"]).unwrap_err().to_string();
+    assert!(said.ends_with("y_mm: found columns z_mm, x_mm, frame, expected a column y_mm"), "{said}");
+    let said = named(&["z_mm", "x_mm", "number", "y_mm"]).unwrap_err().to_string();
+    assert!(said.contains("frame"), "{said}");
 }
 
 #[test]
@@ -237,7 +250,8 @@ fn a_pullback_along_a_centreline_follows_it_without_roll() {
     std::fs::write(&line, text).unwrap();
     let centreline = PullbackPath::read(&line).unwrap();
     assert!((centreline.length_mm() - 10.0 * TAU / 4.0).abs() < 1e-3);
-    let pullback = Pullback::read(&path, None, Some(&centreline)).unwrap();
+    let pullback =
+        Pullback::read(&path, &PullbackOptions::default().with_centreline(Some(centreline))).unwrap();
     let first = &pullback.recording.frames[0].world_from_sensor;
     for (k, frame) in pullback.recording.frames.iter().enumerate() {
         let pose = &frame.world_from_sensor;
@@ -258,14 +272,14 @@ fn a_remark_with_a_lone_quote_takes_no_points_away() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("contours.tsv");
     std::fs::write(&path, pullback_text()).unwrap();
-    let pullback = Pullback::read(&path, None, None).unwrap();
+    let pullback = Pullback::read(&path, &PullbackOptions::default()).unwrap();
     let mut text = "frame\tx\ty\tz\tremark\n".to_owned();
     for (i, line) in pullback_text().lines().enumerate() {
         text += &format!("{line}\t{}\n", if i == 20 { "\"calcium" } else { "" });
     }
     for text in [text.clone(), text.replace('\t', ","), text.replace('\t', ";").replace('\n', "\r")] {
         std::fs::write(&path, &text).unwrap();
-        assert_eq!(Pullback::read(&path, None, None).unwrap(), pullback, "{text}");
+        assert_eq!(Pullback::read(&path, &PullbackOptions::default()).unwrap(), pullback, "{text}");
     }
 }
 
@@ -301,7 +315,8 @@ fn a_pullback_that_cannot_be_placed_is_refused() {
         std::fs::write(&path, contours).unwrap();
         std::fs::write(&line, points).unwrap();
         let centreline = PullbackPath::read(&line);
-        let pullback = centreline.and_then(|line| Pullback::read(&path, None, Some(&line)));
+        let pullback = centreline
+            .and_then(|line| Pullback::read(&path, &PullbackOptions::default().with_centreline(Some(line))));
         pullback.unwrap_err().to_string()
     };
     let good = pullback_text();

@@ -10,6 +10,8 @@ use lumenmesh::recording::{
 use lumenmesh::settings::{Method, Settings, UnfitFrames};
 use lumenmesh::simulate::{Insertion, Phantom, Shape, Simulation, SimulationSettings};
 use lumenmesh::surface::Surface;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 fn simulation() -> Simulation {
     let shape = Shape::Cylinder { radius_mm: 8.0, length_mm: 80.0 };
@@ -63,6 +65,37 @@ fn a_lost_frame_or_a_run_of_them_is_left_out_wherever_it_stands() {
     let scattered = (0..count).filter(|k| k % 37 == 5);
     let found = left_out(&off(&recording, scattered.clone(), |_| Pose::IDENTITY));
     assert_eq!(found, scattered.collect::<Vec<_>>());
+}
+
+#[test]
+fn single_frames_that_are_off_are_left_out_as_long_as_most_frames_are_not() {
+    let recording = far_from_the_origin(&simulation().recording);
+    let count = recording.frames.len();
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    for share in [0.05, 0.12, 0.18, 0.24] {
+        let chosen: Vec<usize> = (1..count).filter(|_| random.random_bool(share)).collect();
+        assert!(chosen.len() > 5, "{share}");
+        let elsewhere = |random: &mut ChaCha8Rng| {
+            let direction = DVec3::from_array(std::array::from_fn(|_| random.random_range(-1.0..1.0)));
+            direction.normalize() * random.random_range(10.0..300.0)
+        };
+        let mut scattered = recording.clone();
+        for &k in &chosen {
+            scattered.frames[k].world_from_sensor.translation_mm += elsewhere(&mut random);
+        }
+        // Each elsewhere, and all at one place.
+        for off in [scattered, off(&recording, chosen.iter().copied(), moved(DVec3::X * 60.0))] {
+            assert_eq!(left_out(&off), chosen, "{share}");
+            let mut live = Live::new(&Settings::default()).unwrap();
+            let mut told: Vec<usize> = Vec::new();
+            for frame in &off.frames {
+                told.extend(live.push(frame).unwrap().left_out.iter().map(|one| one.frame));
+            }
+            told.extend(live.flush().unwrap().left_out.iter().map(|one| one.frame));
+            told.sort_unstable();
+            assert_eq!(told, chosen, "live, {share}");
+        }
+    }
 }
 
 /// Trackers stand beside the patient.

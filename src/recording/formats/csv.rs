@@ -30,8 +30,18 @@ const CYLINDERS: &str = "cylinders.csv";
 pub(in crate::recording) fn read(folder: &Path, columns: &Columns) -> Result<Recording> {
     let _unchanged = locked(folder, Use::Read);
     let mut frames = read_poses(&folder.join(POSES), columns.poses.as_deref())?;
-
+    let poses = ends(frames.keys());
     read_contours(&folder.join(CONTOURS), columns.contours.as_deref(), &mut frames)?;
+    let with_contour = frames.iter().filter(|(_, frame)| !frame.contour_mm.is_empty());
+    if let (Some(poses), Some(contours)) = (poses, ends(with_contour.map(|(number, _)| number)))
+        && poses.0.abs_diff(contours.0) == 1
+        && poses.1 - poses.0 == contours.1 - contours.0
+    {
+        let found = format!("frames {} to {}", contours.0, contours.1);
+        let expected =
+            format!("{} to {} as in {POSES}: one counts from 0 and the other from 1", poses.0, poses.1);
+        return Err(Error::input(&folder.join(CONTOURS), "frame", found, expected));
+    }
     if folder.join(CYLINDERS).exists() {
         let mut cylinders = Table::open(&folder.join(CYLINDERS))?;
         let frame_column = cylinders.column("frame")?;
@@ -60,6 +70,12 @@ pub(in crate::recording) fn read(folder: &Path, columns: &Columns) -> Result<Rec
         frame.with_number(Some(number).filter(|&number| number != k))
     };
     Ok(Recording { frames: frames.into_iter().enumerate().map(place).collect() })
+}
+
+/// The first and the last of some rising numbers.
+fn ends<'a>(mut numbers: impl Iterator<Item = &'a usize>) -> Option<(usize, usize)> {
+    let first = *numbers.next()?;
+    Some((first, numbers.last().copied().unwrap_or(first)))
 }
 
 /// Frames by their numbers, without contours.

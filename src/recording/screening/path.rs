@@ -34,8 +34,11 @@ const JUMP_RADII: f64 = 0.5;
 const JUMP_SHAPE: f64 = 0.35;
 /// Contours that lie farther apart than this share of the median radius may differ as they like.
 const SHAPE_WITHIN_RADII: f64 = 0.5;
-/// The usual step is this quantile of all steps: a quarter of them may be jumps, or three quarters of them rests.
-const USUAL_QUANTILE: f64 = 0.75;
+/// The usual step is this quantile of the frames' steps: as many may be rests, and the others jumps …
+const USUAL_QUANTILE: f64 = 0.7;
+/// … where a frame's step is the shortest to so many frames after it. The frames before a single one that is off then have
+/// a step past it, so that [`Screening::MAX_SHARE`](super::Screening::MAX_SHARE) of the frames may be off, scattered or not.
+const STEPS_AHEAD: usize = 3;
 /// The price of a jump of the pose, in frames: runs at the ends of a recording that are shorter, and runs within it that
 /// are shorter than twice that, are left out …
 pub(super) const JUMP_PRICE: f64 = 40.0;
@@ -97,16 +100,24 @@ fn usual(mut steps: Vec<f64>) -> f64 {
 
 impl Limits {
     /// The limits that a sequence of frames shows; `None` without contours.
-    pub fn of<'a>(places: impl Iterator<Item = &'a Place> + Clone) -> Option<Self> {
-        let mut radii: Vec<f64> = places.clone().filter_map(|place| place.radius_mm).collect();
+    pub fn of<'a>(places: impl Iterator<Item = &'a Place>) -> Option<Self> {
+        let places: Vec<&Place> = places.collect();
+        let mut radii: Vec<f64> = places.iter().filter_map(|place| place.radius_mm).collect();
         if radii.is_empty() {
             return None;
         }
         let radius_mm = median(&mut radii);
-        let pairs = || places.clone().zip(places.clone().skip(1));
-        let pose_steps_mm = pairs().map(|(a, b)| step_mm(&a.pose, &b.pose, radius_mm)).collect();
-        let shape_steps = pairs().filter_map(|(a, b)| a.shape_step(b)).collect();
-        Some(Self::new(radius_mm, pose_steps_mm, shape_steps))
+        let ahead = |i: usize| places[i + 1..].iter().take(STEPS_AHEAD);
+        let shortest = |steps: &mut dyn Iterator<Item = f64>| steps.min_by(f64::total_cmp);
+        let pose_step_mm =
+            |i: usize| shortest(&mut ahead(i).map(|after| step_mm(&places[i].pose, &after.pose, radius_mm)));
+        let shape_step = |i: usize| shortest(&mut ahead(i).filter_map(|after| places[i].shape_step(after)));
+        let frames = 0..places.len();
+        Some(Self::new(
+            radius_mm,
+            frames.clone().filter_map(pose_step_mm).collect(),
+            frames.filter_map(shape_step).collect(),
+        ))
     }
 
     /// The limits that a median radius and steps show.
