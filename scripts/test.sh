@@ -35,6 +35,9 @@ target/debug/lumenmesh devices || true
 
 say "other tools"
 command -v octave-cli >/dev/null || apt_install octave || echo "octave-cli is missing: its tests will be skipped"
+for tool in cmake pkg-config valgrind; do
+  command -v "$tool" >/dev/null || apt_install "$tool" || echo "$tool is missing: its tests will be skipped"
+done
 if [ -z "${LUMENMESH_PYTHON:-}" ]; then
   venv=target/python
   if ! "$venv/bin/python" -c 'import numpy, scipy, vtk' 2>/dev/null; then
@@ -53,7 +56,20 @@ run() {
   "$@" 2>&1 | tee -a "$log" || status=1
 }
 
-run cargo test --all-features
+run cargo test --all-features -p lumenmesh -p lumenmesh-capi
+# The Python package, as it is installed.
+if [ -x target/python/bin/python ]; then
+  python=target/python/bin/python
+  run "$python" -m pip install -q --disable-pip-version-check maturin pytest mypy pyvista trimesh
+  rm -rf target/wheels
+  run target/python/bin/maturin build --quiet --profile dev --manifest-path python/Cargo.toml -i "$python" -o target/wheels
+  run "$python" -m pip install -q --disable-pip-version-check --force-reinstall --no-deps target/wheels/*.whl
+  run "$python" -m pytest -q python/tests
+  run "$python" -m mypy.stubtest lumenmesh
+else
+  echo "SKIPPED: the Python package: no Python with NumPy under target/"
+  [ "${LUMENMESH_REQUIRE_TOOLS:-}" != 1 ] || status=1
+fi
 run cargo test --all-features --bench distance --bench fit --bench live -- --test
 # Each feature builds alone, and the library without any.
 for features in "" cli gpu render; do
@@ -67,5 +83,6 @@ fi
 say "summary"
 grep -h '^SKIPPED' "$log" | sort -u || true
 awk '/^test result:/ { passed += $4; failed += $6 }
+     /^[0-9].* (passed|failed).* in [0-9.]+s/ { for (i = 2; i <= NF; i++) { if ($i ~ /^passed/) passed += $(i - 1); if ($i ~ /^failed/) failed += $(i - 1) } }
      END { printf "%d passed, %d failed\n", passed, failed; exit passed == 0 }' "$log" || status=1
 exit "$status"

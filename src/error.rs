@@ -1,5 +1,6 @@
 //! The one error type of the crate.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 /// What can go wrong between a recording and a mesh.
@@ -66,7 +67,7 @@ pub enum Error {
     #[non_exhaustive]
     Setting {
         /// The setting's name, as in the TOML file.
-        name: &'static str,
+        name: Cow<'static, str>,
         /// Its value.
         found: String,
         /// What would do.
@@ -170,8 +171,12 @@ impl Error {
     }
 
     /// An [`Error::Setting`], by the setting's name in the TOML file.
-    pub fn setting(name: &'static str, found: impl ToString, expected: impl ToString) -> Self {
-        Error::Setting { name, found: found.to_string(), expected: expected.to_string() }
+    pub fn setting(
+        name: impl Into<Cow<'static, str>>,
+        found: impl ToString,
+        expected: impl ToString,
+    ) -> Self {
+        Error::Setting { name: name.into(), found: found.to_string(), expected: expected.to_string() }
     }
 
     /// An [`Error::Input`] about a whole file or variable. What comes from the file is made fit for a terminal: control

@@ -62,6 +62,7 @@ pub mod geometry;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod low_level;
+mod matfile;
 mod numerics;
 pub mod output;
 pub mod reconstruction;
@@ -87,3 +88,8 @@ pub use wgpu;
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
+
+/// Compiles the code on the page for hosts in Rust.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/hosts/rust.md")]
+struct RustHosts;

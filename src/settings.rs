@@ -274,13 +274,59 @@ impl Settings {
         Ok(settings)
     }
 
+    /// Sets one setting by its name, in words: `set("method", "cylinders")`, `set("sweep.nodes", "64")`,
+    /// `set("gate", "[0.5, 1.5]")`. Names, values and limits are those of the TOML file; a text needs no quotes. `none` gives
+    /// a setting that may be absent back to the recording.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] where there is no such setting or the value is not one for it; the settings are then as before.
+    pub fn set(&mut self, name: &str, value: &str) -> Result<()> {
+        let parsed = toml::from_str::<toml::Table>(&format!("value = {value}")).ok();
+        let parsed = parsed.filter(|table| table.len() == 1).and_then(|mut table| table.remove("value"));
+        let value_of_toml = parsed.unwrap_or_else(|| toml::Value::String(value.trim().into()));
+        let invalid = |error: &dyn std::fmt::Display| {
+            // Such as "unknown field `node`, expected one of `method`, …".
+            let message = error.to_string();
+            let message = message.trim_end();
+            match message.rsplit_once(", expected ") {
+                Some((found, expected)) if found.starts_with("unknown field") => {
+                    Error::setting(name.to_owned(), "no setting of that name", expected)
+                }
+                Some((_, expected)) => Error::setting(name.to_owned(), format!("{value:?}"), expected),
+                None => Error::setting(name.to_owned(), format!("{value:?}"), message),
+            }
+        };
+        let mut table = toml::Table::try_from(&*self).map_err(|e| invalid(&e))?;
+        let mut parents: Vec<&str> = name.split('.').collect();
+        let last = parents.pop().unwrap_or(name);
+        let mut inner = &mut table;
+        for parent in parents {
+            inner = inner
+                .entry(parent)
+                .or_insert_with(|| toml::Value::Table(toml::Table::new()))
+                .as_table_mut()
+                .ok_or_else(|| {
+                    Error::setting(name.to_owned(), format!("{parent} is one value"), "a group")
+                })?;
+        }
+        let is_none = value.trim() == "none" && name_of_optional(name);
+        match is_none {
+            true => drop(inner.remove(last)),
+            false => drop(inner.insert(last.to_owned(), value_of_toml)),
+        }
+        let changed: Self = table.try_into().map_err(|e: toml::de::Error| invalid(&e.message()))?;
+        changed.validate()?;
+        *self = changed;
+        Ok(())
+    }
+
     /// The settings as TOML, such that [`Settings::read_toml`] reads them back.
     ///
     /// # Errors
     /// [`Error::Setting`] where a value has no TOML form.
     pub fn to_toml(&self) -> Result<String> {
         toml::to_string(self).map_err(|e| Error::Setting {
-            name: "settings",
+            name: "settings".into(),
             found: e.to_string(),
             expected: "values that TOML can hold".into(),
         })
@@ -294,9 +340,8 @@ impl Settings {
         // Triangle and node indices are u32 on the device. The other bounds are far beyond any vessel and keep every
         // product of lengths within f32.
         const MAX_FACES: u64 = 1 << 28;
-        let fail = |name, found: String, expected: &str| {
-            Err(Error::Setting { name, found, expected: expected.into() })
-        };
+        let fail =
+            |name: &'static str, found: String, expected: &str| Err(Error::setting(name, found, expected));
         if self.backend == Backend::Gpu && cfg!(not(feature = "gpu")) {
             return Err(no_gpu_engine());
         }
@@ -360,9 +405,71 @@ impl Settings {
     }
 }
 
+/// Whether a setting may be absent.
+fn name_of_optional(name: &str) -> bool {
+    ["adapter", "sweep.nodes", "sweep.half_life_s"].contains(&name)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_setting_is_set_by_its_name() {
+        let mut settings = Settings::default();
+        for (name, value) in [
+            ("method", "cylinders"),
+            ("backend", "\"cpu\""),
+            ("nodes", "24"),
+            ("height_mm", "12"),
+            ("gate", "[0, 2.5]"),
+            ("sweep.nodes", "64"),
+            ("sweep.correct_poses", "true"),
+            ("calibration.position_mm", "[1, 2.5, -3]"),
+            ("unfit_frames", "keep"),
+            ("conventions.units", "cm"),
+            ("adapter", "NVIDIA H100"),
+        ] {
+            settings.set(name, value).unwrap();
+        }
+        let sweep = SweepSettings::default().with_nodes(Some(64)).with_correct_poses(true);
+        let expected = Settings::default()
+            .with_method(Method::Cylinders)
+            .with_backend(Backend::Cpu)
+            .with_nodes(24)
+            .with_height_mm(12.0)
+            .with_gate([0.0, 2.5])
+            .with_sweep(sweep)
+            .with_calibration(Calibration::default().with_position_mm([1.0, 2.5, -3.0]))
+            .with_unfit_frames(UnfitFrames::Keep)
+            .with_conventions(Conventions::default().with_units(crate::recording::LengthUnit::Cm))
+            .with_adapter(Some("NVIDIA H100".into()));
+        assert_eq!(settings, expected);
+        settings.set("sweep.nodes", "none").unwrap();
+        settings.set("adapter", "none").unwrap();
+        assert_eq!((settings.sweep.nodes, &settings.adapter), (None, &None));
+
+        let before = settings.clone();
+        for (name, value, message) in [
+            ("node", "24", "setting node: found no setting of that name, expected one of `method`"),
+            (
+                "sweep.node",
+                "24",
+                "setting sweep.node: found no setting of that name, expected one of `nodes`",
+            ),
+            ("nodes", "many", "setting nodes: found \"many\", expected u32"),
+            ("nodes", "-1", "setting nodes: found \"-1\", expected u32"),
+            ("nodes", "2", "setting nodes: found 2, expected at least 3"),
+            ("method", "tube", "setting method: found \"tube\", expected `sweep` or `cylinders`"),
+            ("nodes", "12\nlevels = 7", "setting nodes: found \"12\\nlevels = 7\", expected u32"),
+            ("nodes.deep", "1", "setting nodes.deep: found nodes is one value, expected a group"),
+            ("", "1", "setting : found no setting of that name"),
+        ] {
+            let error = settings.set(name, value).unwrap_err().to_string();
+            assert!(error.starts_with(message), "{error}");
+            assert_eq!(settings, before);
+        }
+    }
 
     #[test]
     fn settings_survive_toml() {

@@ -12,3 +12,13 @@ pub(crate) fn decoded(bytes: &[u8]) -> Cow<'_, str> {
     std::str::from_utf8(bytes)
         .map_or_else(|_| WINDOWS_1252.decode_without_bom_handling(bytes).0, Cow::Borrowed)
 }
+
+/// A text of the file for a message: without control characters, not too long.
+pub(crate) fn shown(text: &str, length: usize) -> String {
+    let mut shown: String =
+        text.chars().take(length).map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
+    if text.chars().nth(length).is_some() {
+        shown.push('…');
+    }
+    shown
+}

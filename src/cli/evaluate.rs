@@ -1,14 +1,15 @@
+use super::space::{SpaceArgument, axes, can_carry_arrays};
 use super::{Shown, print_json, read_screened, refuse_inputs};
 use crate::evaluate::{
     Coverage, DEFINITIONS, Distances, Evaluation, Region, Truth, Volumes, evaluate, evaluate_covered,
 };
 use crate::settings::Settings;
 use crate::simulate::Centreline;
-use crate::surface::Surface;
+use crate::surface::{Space, Surface};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Measure the distance between a mesh and a truth surface
 ///
@@ -17,7 +18,7 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, after_long_help = examples_and_definitions())]
 pub(super) struct Arguments {
-    /// The mesh to measure: .vtp, .ply, .stl, .obj, .vtk or .vtu
+    /// The mesh to measure: .vtp, .ply, .stl, .obj, .mat, .vtk or .vtu
     mesh: PathBuf,
     /// The surface to measure against; its normals point out of the lumen
     #[arg(long, value_name = "SURFACE")]
@@ -40,9 +41,11 @@ pub(super) struct Arguments {
     /// Length of a stretch, mm
     #[arg(long, value_name = "MM", default_value_t = 50.0, requires = "centreline")]
     region: f64,
-    /// Write the mesh with its distances as node arrays error_mm and signed_error_mm: .vtp or .ply
+    /// Write the mesh with its distances as node arrays error_mm and signed_error_mm: .vtp, .ply or .mat
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    space: SpaceArgument,
     /// Print JSON instead of text
     #[arg(long)]
     json: bool,
@@ -68,6 +71,8 @@ fn examples_and_definitions() -> String {
 struct Report<'a> {
     mesh: Shown<'a>,
     truth: Shown<'a>,
+    /// Which axes each file states; null where it does not, and `ras` is assumed.
+    space: Spaces,
     #[serde(flatten)]
     evaluation: &'a Evaluation,
     volumes: Option<Volumes>,
@@ -76,6 +81,12 @@ struct Report<'a> {
     no_volumes: Option<String>,
     regions: &'a [Region],
     definitions: BTreeMap<&'a str, &'a str>,
+}
+
+#[derive(Clone, Copy, Serialize)]
+struct Spaces {
+    mesh: Option<Space>,
+    truth: Option<Space>,
 }
 
 impl Arguments {
@@ -93,8 +104,10 @@ impl Arguments {
                 self.centreline.as_deref(),
             ],
         )?;
-        let mut mesh = Surface::read(&self.mesh)?;
-        let truth = Truth::new(Surface::read(&self.truth)?).map_err(|e| e.in_file(&self.truth))?;
+        let (mut mesh, mesh_space) = Surface::read_with_space(&self.mesh)?;
+        let (truth, truth_space) = Surface::read_with_space(&self.truth)?;
+        let space = Spaces { mesh: mesh_space, truth: truth_space };
+        let truth = Truth::new(truth).map_err(|e| e.in_file(&self.truth))?;
         let evaluation = match self.coverage(&truth)? {
             Some(coverage) => evaluate_covered(&mesh, &truth, &coverage),
             None => evaluate(&mesh, &truth),
@@ -104,13 +117,14 @@ impl Arguments {
         let regions = self.regions(&mesh, &evaluation)?;
         if let Some(out) = &self.out {
             evaluation.colour(&mut mesh);
-            mesh.write(out)?;
+            self.space.write(&mesh, out)?;
         }
         if self.json {
             let definitions = DEFINITIONS.into_iter().collect();
             let report = Report {
                 mesh: Shown(&self.mesh),
                 truth: Shown(&self.truth),
+                space,
                 evaluation: &evaluation,
                 volumes: volumes.as_ref().ok().copied(),
                 no_volumes: volumes.as_ref().err().map(Error::to_string),
@@ -119,7 +133,7 @@ impl Arguments {
             };
             print_json(&report)?;
         } else {
-            self.print(&evaluation, &volumes, &regions);
+            self.print(space, &evaluation, &volumes, &regions);
         }
         for warning in &evaluation.warnings {
             eprintln!("lumenmesh: warning: {warning}");
@@ -150,10 +164,11 @@ impl Arguments {
         Region::along(&branch.every_mm(), self.region, &mesh.nodes_mm, &evaluation.signed_error_mm)
     }
 
-    fn print(&self, evaluation: &Evaluation, volumes: &Result<Volumes>, regions: &[Region]) {
+    fn print(&self, space: Spaces, evaluation: &Evaluation, volumes: &Result<Volumes>, regions: &[Region]) {
         let forth = &evaluation.mesh_to_truth;
         println!("mesh   {}", self.mesh.display());
         println!("truth  {}", self.truth.display());
+        println!("axes   of the mesh {}, of the truth {}", axes(space.mesh), axes(space.truth));
         println!();
         println!("fitting error  {:.4} mm", forth.mean_mm);
         println!("               the mean distance from the mesh's nodes to the truth's triangles");
@@ -209,16 +224,5 @@ impl Arguments {
             println!();
             println!("wrote {} with error_mm and signed_error_mm", out.display());
         }
-    }
-}
-
-fn can_carry_arrays(out: &Path) -> Result<()> {
-    match crate::output::ending(out).as_str() {
-        "vtp" | "ply" => Ok(()),
-        ending => Err(Error::UnknownEnding {
-            path: out.into(),
-            ending: ending.into(),
-            expected: ".vtp, .ply (which carry node arrays)",
-        }),
     }
 }

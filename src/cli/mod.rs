@@ -13,6 +13,7 @@ macro_rules! println {
 
 mod bench;
 mod conventions;
+mod convert;
 mod demo;
 #[cfg(feature = "gpu")]
 mod devices;
@@ -28,6 +29,7 @@ mod report;
 mod sections;
 mod settings;
 mod simulate;
+mod space;
 mod study;
 mod vessel;
 
@@ -55,6 +57,7 @@ enum Command {
     Sections(sections::Arguments),
     Info(info::Arguments),
     Import(import::Arguments),
+    Convert(convert::Arguments),
     Demo(demo::Arguments),
     Bench(bench::Arguments),
     Simulate(simulate::Arguments),
@@ -90,6 +93,7 @@ pub fn main() -> ExitCode {
         Command::Sections(arguments) => arguments.run(),
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
+        Command::Convert(arguments) => arguments.run(),
         Command::Demo(arguments) => arguments.run(),
         Command::Bench(arguments) => arguments.run(),
         Command::Simulate(arguments) => arguments.run(),

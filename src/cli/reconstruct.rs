@@ -1,8 +1,9 @@
 use super::settings::SettingsArguments;
+use super::space::SpaceArgument;
 use super::{Shown, print_json, progress, refuse_inputs};
 use crate::cylinders::{CylindersReport, write_cylinders};
 use crate::engine::EngineDescription;
-use crate::reconstruction::{Lumen, LumenReport, Reconstructor};
+use crate::reconstruction::{Lumen, LumenReport, Reconstructor, Summary};
 use crate::recording::{LeftOut, Recording, Screening};
 use crate::settings::{Method, Settings};
 use crate::surface;
@@ -28,6 +29,8 @@ pub(super) struct Arguments {
     /// Mesh to write: .vtp, .ply, .stl or .obj
     #[arg(short, long, value_name = "MESH")]
     output: PathBuf,
+    #[command(flatten)]
+    space: SpaceArgument,
     /// Also write every deformed cylinder, iteration by iteration, as CSV
     #[arg(long, value_name = "CSV")]
     cylinders: Option<PathBuf>,
@@ -43,10 +46,8 @@ pub(super) struct Arguments {
 struct Output<'a> {
     recording: Shown<'a>,
     mesh: Shown<'a>,
-    settings: &'a Settings,
-    screening: &'a Screening,
     #[serde(flatten)]
-    report: LumenReport<'a>,
+    summary: Summary<'a>,
 }
 
 impl Arguments {
@@ -54,7 +55,7 @@ impl Arguments {
         let settings = self.settings.settings()?;
         if self.cylinders.is_some() && settings.method != Method::Cylinders {
             return Err(Error::Setting {
-                name: "method",
+                name: "method".into(),
                 found: "sweep".into(),
                 expected: "cylinders, where --cylinders asks for them".into(),
             });
@@ -70,12 +71,11 @@ impl Arguments {
         if let (Some(path), Some(reconstruction)) = (&self.cylinders, lumen.cylinders()) {
             write_cylinders(&reconstruction.cylinders, path)?;
         }
-        lumen.surface().write(&self.output)?;
+        self.space.write(&lumen.surface(), &self.output)?;
         let report = lumen.report();
         if self.json {
             let (recording, mesh) = (Shown(&self.recording), Shown(&self.output));
-            let screening = lumen.screening();
-            return print_json(&Output { recording, mesh, settings: &settings, screening, report });
+            return print_json(&Output { recording, mesh, summary: lumen.summary() });
         }
         print_report(report);
         print_screening(lumen.screening());

@@ -1,5 +1,6 @@
 use super::reconstruct::print_left_out;
 use super::settings::SettingsArguments;
+use super::space::SpaceArgument;
 use super::{Shown, print_json, progress, refuse_inputs};
 use crate::reconstruction::{Live, Work};
 use crate::recording::{FRAME_INTERVAL_S, Finding, LeftOut, Screening};
@@ -22,9 +23,11 @@ pub(super) struct Arguments {
     /// Recording: a MATLAB .mat file (v4 to v7.3) or a folder of CSV files
     #[arg(value_name = "REC")]
     recording: PathBuf,
-    /// Mesh to write after the last frame: .vtp, .ply, .stl or .obj
+    /// Mesh to write after the last frame: .vtp, .ply, .stl, .obj or .mat
     #[arg(short, long, value_name = "MESH")]
     output: PathBuf,
+    #[command(flatten)]
+    space: SpaceArgument,
     /// Wait for each frame's time; 12 frames per second where they have none
     #[arg(long)]
     real_time: bool,
@@ -132,7 +135,7 @@ impl Arguments {
                 "contours along a vessel",
             ));
         }
-        vessel.write(&self.output)?;
+        self.space.write(&vessel, &self.output)?;
         let summary = Summary {
             recording: Shown(&self.recording),
             mesh: Shown(&self.output),

@@ -170,7 +170,9 @@ impl SettingsArguments {
         };
         match flags.iter().find(|(_, given)| *given) {
             None => Ok(()),
-            Some((name, _)) => Err(Error::Setting { name, found: found.into(), expected: expected.into() }),
+            Some((name, _)) => {
+                Err(Error::Setting { name: (*name).into(), found: found.into(), expected: expected.into() })
+            }
         }
     }
 }

@@ -1,3 +1,4 @@
+use super::space::SpaceArgument;
 use super::vessel::VesselArguments;
 use super::{Shown, print_json, progress, refuse_inputs};
 use crate::simulate::{
@@ -40,9 +41,11 @@ pub(super) struct Arguments {
     output: PathBuf,
     #[command(flatten)]
     vessel: VesselArguments,
-    /// Also write the wall: .vtp, .ply, .stl or .obj
+    /// Also write the wall: .vtp, .ply, .stl, .obj or .mat
     #[arg(long, value_name = "MESH")]
     truth: Option<PathBuf>,
+    #[command(flatten)]
+    space: SpaceArgument,
     /// Also write the centrelines of its branches: CSV
     #[arg(long, value_name = "CSV")]
     truth_centreline: Option<PathBuf>,
@@ -196,7 +199,7 @@ impl Arguments {
 
         simulation.recording.write(&self.output)?;
         if let Some(path) = &self.truth {
-            simulation.vessel.surface().write(path)?;
+            self.space.write(simulation.vessel.surface(), path)?;
         }
         if let Some(path) = &self.truth_centreline {
             Centreline::write_branches(simulation.vessel.branches(), path)?;

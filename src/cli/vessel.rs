@@ -30,7 +30,7 @@ impl VesselArguments {
             Some(path) if !output::ending(path).is_empty() => {
                 let Some(centreline) = &self.centreline else {
                     return Err(Error::Setting {
-                        name: "--centreline",
+                        name: "--centreline".into(),
                         found: "none".into(),
                         expected: format!("the centrelines of {}", path.display()),
                     });
@@ -42,7 +42,7 @@ impl VesselArguments {
             _ => {
                 if self.centreline.is_some() {
                     return Err(Error::Setting {
-                        name: "--centreline",
+                        name: "--centreline".into(),
                         found: "a phantom, which has its own".into(),
                         expected: "--vessel SURFACE".into(),
                     });

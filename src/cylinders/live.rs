@@ -41,7 +41,7 @@ impl LiveCylinders {
     pub fn new(settings: &Settings) -> Result<Self> {
         if settings.merge != Merge::Stitch {
             return Err(Error::Setting {
-                name: "merge",
+                name: "merge".into(),
                 found: "blend".into(),
                 expected: "stitch, as cylinders are merged live".into(),
             });

@@ -143,7 +143,7 @@ impl CylinderReconstruction {
         let frames: Vec<usize> = merged_frames(seen.len(), settings).iter().map(|&k| seen[k]).collect();
         if frames.is_empty() {
             return Err(Error::Setting {
-                name: "every",
+                name: "every".into(),
                 found: settings.every.to_string(),
                 expected: format!("at most the recording's {} frames with a contour", seen.len()),
             });

@@ -37,7 +37,7 @@ impl Coverage {
     ) -> Result<Self> {
         if !(within_mm.is_finite() && within_mm >= MIN_WITHIN_MM) {
             return Err(Error::Setting {
-                name: "covered_within",
+                name: "covered_within".into(),
                 found: within_mm.to_string(),
                 expected: "at least 1e-6 mm".into(),
             });

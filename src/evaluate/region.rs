@@ -35,7 +35,7 @@ impl Region {
     ) -> Result<Vec<Self>> {
         if !(length_mm.is_finite() && length_mm >= 1.0) {
             return Err(Error::Setting {
-                name: "region",
+                name: "region".into(),
                 found: length_mm.to_string(),
                 expected: "1 mm or more".into(),
             });

@@ -26,6 +26,19 @@ impl Pose {
         Self { rotation: DMat3::from_quat(quaternion), translation_mm }
     }
 
+    /// The pose of a 4×4 matrix, `m[row][column]`, such as trackers give it: the rotation at the left, the translation in
+    /// mm in the last column, and 0 0 0 1 below. The rotation is taken as it is.
+    ///
+    /// # Errors
+    /// The last row, where it is another one: then the matrix is transposed, or projective.
+    pub fn from_matrix(m: &[[f64; 4]; 4]) -> Result<Self, [f64; 4]> {
+        if m[3].map(|x| if x.abs() <= 1e-9 { 0.0 } else { x }) != [0.0, 0.0, 0.0, 1.0] {
+            return Err(m[3]);
+        }
+        let column = |c: usize| DVec3::new(m[0][c], m[1][c], m[2][c]);
+        Ok(Self { rotation: DMat3::from_cols(column(0), column(1), column(2)), translation_mm: column(3) })
+    }
+
     /// The rotation as a unit quaternion with non-negative w, so that equal rotations print equal.
     pub fn quaternion(&self) -> DQuat {
         let q = DQuat::from_mat3(&self.rotation).normalize();

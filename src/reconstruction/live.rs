@@ -142,6 +142,15 @@ impl Live {
         Ok(Self { settings: settings.clone(), frames: 0, screening: LiveScreening::default(), vessel })
     }
 
+    /// Forgets all frames: the next one begins a new vessel with the same settings.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn reset(&mut self) -> Result<()> {
+        *self = Self::new(&self.settings)?;
+        Ok(())
+    }
+
     /// Takes the next frame and brings the mesh up to date. What is done with an unfit frame, the settings say.
     ///
     /// # Errors
@@ -253,8 +262,8 @@ impl Live {
 
 /// Refuses what the live sweep does not do, rather than leaving it undone without a word.
 fn check_sweep(settings: &Settings) -> Result<()> {
-    let refused = |name, found: &str, expected: &str| {
-        Err(Error::Setting { name, found: found.into(), expected: format!("{expected} for a live sweep") })
+    let refused = |name: &'static str, found: &str, expected: &str| {
+        Err(Error::setting(name, found, format!("{expected} for a live sweep")))
     };
     if settings.sweep.correct_poses {
         return refused("sweep.correct_poses", "true", "false");

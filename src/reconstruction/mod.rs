@@ -142,7 +142,25 @@ pub enum LumenReport<'a> {
     Sweep(&'a SweepReport),
 }
 
+/// All that is known of a reconstruction beside its mesh, as `lumenmesh reconstruct --json` prints it.
+#[derive(Debug, Clone, Copy, Serialize)]
+#[non_exhaustive]
+pub struct Summary<'a> {
+    /// The settings that it was reconstructed with.
+    pub settings: &'a Settings,
+    /// The frames that were left out, and why.
+    pub screening: &'a Screening,
+    /// What was done, in numbers; in JSON beside the two above.
+    #[serde(flatten)]
+    pub report: LumenReport<'a>,
+}
+
 impl Lumen {
+    /// Settings, screening and report as one thing to serialise.
+    pub fn summary(&self) -> Summary<'_> {
+        Summary { settings: &self.settings, screening: &self.screening, report: self.report() }
+    }
+
     /// The settings that it was reconstructed with.
     pub fn settings(&self) -> &Settings {
         &self.settings

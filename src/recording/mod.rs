@@ -157,6 +157,37 @@ impl Recording {
         Ok(recording)
     }
 
+    /// A recording from arrays, as hosts have them: for each frame the sensor in the world as a 4×4 matrix, as
+    /// [`Frame::from_matrix`] takes it, and the contour.
+    ///
+    /// # Errors
+    /// [`Error::Recording`] where there are not as many contours as poses; [`Error::Frame`] where a matrix is no rigid
+    /// transform's.
+    pub fn from_matrices(
+        world_from_sensor: &[[[f64; 4]; 4]],
+        contours_mm: impl IntoIterator<Item = Vec<DVec2>>,
+    ) -> Result<Self> {
+        let contours_mm: Vec<Vec<DVec2>> = contours_mm.into_iter().collect();
+        if contours_mm.len() != world_from_sensor.len() {
+            return Err(Error::Recording {
+                field: "contours",
+                found: contours_mm.len().to_string(),
+                expected: format!("{}, one for each pose", world_from_sensor.len()),
+            });
+        }
+        let frame = |(k, (matrix, contour_mm))| {
+            Frame::from_matrix(matrix, contour_mm).map_err(|error| match error {
+                Error::Recording { field, found, expected } => {
+                    Error::Frame { frame: k, field, found, expected }
+                }
+                other => other,
+            })
+        };
+        let frames =
+            world_from_sensor.iter().zip(contours_mm).enumerate().map(frame).collect::<Result<_>>()?;
+        Ok(Self { frames })
+    }
+
     /// Reads a recording as [`Recording::read`] does, but keeps frames that no reconstruction can use, so that their
     /// defects can be inspected.
     ///
@@ -299,6 +330,27 @@ impl Frame {
             }
         }
         defects
+    }
+
+    /// A frame from a 4×4 matrix `m[row][column]`, the tracker sensor in the world with the translation in mm, and its
+    /// contour in the probe's plane, mm. A matrix with a number that is NaN is a [lost](Pose::LOST) pose; a rotation that
+    /// was rounded to few digits, such as one of single precision, is made orthonormal.
+    ///
+    /// # Errors
+    /// [`Error::Recording`] where the last row is not 0 0 0 1.
+    pub fn from_matrix(world_from_sensor: &[[f64; 4]; 4], contour_mm: Vec<DVec2>) -> Result<Self> {
+        let is_lost = world_from_sensor.as_flattened().iter().any(|x| x.is_nan());
+        let pose = match is_lost {
+            true => Pose::LOST,
+            false => Pose::from_matrix(world_from_sensor).map_err(|row| Error::Recording {
+                field: "pose",
+                found: format!("a matrix whose last row is {row:?}"),
+                expected: "0 0 0 1 there, and the translation in the last column".into(),
+            })?,
+        };
+        let mut frame = Self::new(pose, contour_mm);
+        frame.orthonormalise();
+        Ok(frame)
     }
 
     /// Makes a rotation orthonormal that was rounded to few digits.

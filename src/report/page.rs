@@ -1,8 +1,8 @@
 //! An HTML page: one file that contains its style, plots and pictures and needs neither network nor scripts.
 
-use super::render::{Picture, Style, render};
+use super::render::{Style, render};
+use crate::Result;
 use crate::surface::Surface;
-use crate::{Error, Result};
 use base64::Engine as _;
 use std::fmt::Write as _;
 
@@ -119,7 +119,7 @@ impl Page {
 
     /// A mesh from three sides.
     pub fn mesh(&mut self, surface: &Surface, style: &Style, caption: &str) -> Result<&mut Self> {
-        let png = png(&render(surface, style)?)?;
+        let png = render(surface, style)?.png()?;
         let data = base64::engine::general_purpose::STANDARD.encode(png);
         let alt = escaped(caption);
         Ok(self.figure(&format!("<img alt=\"{alt}\" src=\"data:image/png;base64,{data}\">"), caption))
@@ -175,12 +175,6 @@ footer { color: #55555c; font-size: .85rem; margin: 2.5rem 0 1rem; border-top: 1
   h2 { break-after: avoid; }
 }
 ";
-
-fn png(picture: &Picture) -> Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    picture.encode(&mut bytes).map_err(|source| Error::Output { target: "picture", source })?;
-    Ok(bytes)
-}
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")

@@ -329,7 +329,11 @@ fn density(sorted: &[f64], y: &Range<f64>) -> Vec<(f64, f64)> {
 }
 
 fn nothing_to_draw() -> Error {
-    Error::Setting { name: "figure", found: "no finite number".into(), expected: "at least one".into() }
+    Error::Setting {
+        name: "figure".into(),
+        found: "no finite number".into(),
+        expected: "at least one".into(),
+    }
 }
 
 #[cfg(test)]

@@ -192,7 +192,7 @@ impl Insertion {
             .sum();
         if self.moves.is_empty() || (self.repeat && forward <= 0.0) {
             return Err(Error::Setting {
-                name: "insertion.moves",
+                name: "insertion.moves".into(),
                 found: format!("{} moves that go {forward} mm forward in all", self.moves.len()),
                 expected: "at least one move, and more than 0 mm forward where they are repeated".into(),
             });
@@ -205,7 +205,7 @@ impl Insertion {
     pub(super) fn plan<'a>(&'a self, vessel: &'a SimulatedVessel, min_scale: f64) -> Result<Path<'a>> {
         let Some(centreline) = vessel.branches().get(self.branch) else {
             return Err(Error::Setting {
-                name: "insertion.branch",
+                name: "insertion.branch".into(),
                 found: self.branch.to_string(),
                 expected: format!("below {}, the number of branches", vessel.branches().len()),
             });
@@ -214,7 +214,7 @@ impl Insertion {
         let end_mm = self.end_in_mm(length);
         if end_mm > length || self.start_mm >= end_mm {
             return Err(Error::Setting {
-                name: "insertion.end_mm",
+                name: "insertion.end_mm".into(),
                 found: format!("{:.1} to {end_mm:.1} mm", self.start_mm),
                 expected: format!("a way forward within the branch's {length:.1} mm"),
             });
@@ -268,7 +268,7 @@ impl Insertion {
             }
             if time_s * self.frame_rate_hz > 1e7 {
                 return Err(Error::Setting {
-                    name: "insertion.frame_rate_hz",
+                    name: "insertion.frame_rate_hz".into(),
                     found: format!("more than 10 million frames over {time_s:.0} s"),
                     expected: "a shorter insertion or fewer frames".into(),
                 });

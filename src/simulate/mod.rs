@@ -212,6 +212,6 @@ fn within(name: &'static str, value: f64, low: f64, high: f64) -> Result<()> {
     if (low..=high).contains(&value) {
         Ok(())
     } else {
-        Err(Error::Setting { name, found: value.to_string(), expected: format!("{low} to {high}") })
+        Err(Error::setting(name, value, format!("{low} to {high}")))
     }
 }

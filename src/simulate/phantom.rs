@@ -196,7 +196,7 @@ impl FromStr for Shape {
             },
             other => {
                 return Err(Error::Setting {
-                    name: "vessel.shape",
+                    name: "vessel.shape".into(),
                     found: other.into(),
                     expected: format!("one of {}", Shape::NAMES.join(", ")),
                 });
@@ -488,7 +488,7 @@ fn not_too_fine(edge_mm: f64, pieces: f64) -> Result<()> {
         return Ok(());
     }
     Err(Error::Setting {
-        name: "vessel.edge_mm",
+        name: "vessel.edge_mm".into(),
         found: format!("{edge_mm}, which makes {pieces:.0} pieces"),
         expected: format!("longer edges, at most {MAX_PIECES:.0} pieces"),
     })

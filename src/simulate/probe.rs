@@ -39,7 +39,7 @@ impl Probe {
     pub fn validate(&self) -> Result<()> {
         if !(1..=100_000).contains(&self.rays) {
             return Err(Error::Setting {
-                name: "probe.rays",
+                name: "probe.rays".into(),
                 found: self.rays.to_string(),
                 expected: "1 to 100000".into(),
             });

@@ -2,23 +2,25 @@
 
 mod cut;
 mod formats;
+mod space;
 mod topology;
 
 pub use cut::{Cut, Cutter, SectionOutline};
+pub use space::Space;
 pub use topology::Topology;
 
 use crate::{Error, Result, output};
-use formats::{obj, ply, stl, vtk, vtp};
+use formats::{mat, obj, ply, stl, vtk, vtp};
 use glam::DVec3;
 use std::path::Path;
 
 /// The endings that [`Surface::write`] knows.
-pub const ENDINGS: &str = ".vtp, .ply, .stl, .obj";
+pub const ENDINGS: &str = ".vtp, .ply, .stl, .obj, .mat";
 
 /// The endings that [`Surface::read`] knows.
-pub const ENDINGS_READ: &str = ".vtp, .ply, .stl, .obj, .vtk, .vtu";
+pub const ENDINGS_READ: &str = ".vtp, .ply, .stl, .obj, .mat, .vtk, .vtu";
 
-/// A value per node, as VTP, PLY and VTK carry them.
+/// A value per node, as VTP, PLY, MAT-files and VTK carry them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeArray {
     /// Its name, with the unit where it has one: `residual_mm`.
@@ -60,12 +62,12 @@ impl Surface {
         }
     }
 
-    /// Reads a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`, `.vtk` (legacy), `.vtu`. Numbers are taken as
-    /// millimetres.
+    /// Reads a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`, `.mat`, `.vtk` (legacy), `.vtu`. Numbers are
+    /// taken as millimetres, and as given in [`Space::Ras`] unless the file names another space.
     ///
     /// Polygons become triangles that fill them, concave ones too; polygons and strips are both read where a file has
-    /// both. VTP, PLY and VTK bring their node arrays of one number per node: the first of each name; pieces that lack an
-    /// array have NaN there. All other arrays, lines and points are left out. An STL's corners become one node where their
+    /// both. VTP, PLY, MAT-files and VTK bring their node arrays of one number per node: the first of each name; pieces
+    /// that lack an array have NaN there. All other arrays, lines and points are left out. An STL's corners become one node where their
     /// positions are equal, and triangles that this leaves with fewer than three different nodes are dropped.
     ///
     /// # Errors
@@ -73,11 +75,21 @@ impl Surface {
     /// position that is not finite, a polygon whose edges cross, cells of volumes, content cut short; and where arrays
     /// would take far more memory than the file does.
     pub fn read(path: &Path) -> Result<Self> {
+        Ok(Self::read_with_space(path)?.0)
+    }
+
+    /// Reads a surface as [`read`](Self::read) does, and says in which space its file gives it; `None` where the file does
+    /// not say. Nodes are in [`Space::Ras`] in any case.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read), and where the file names a space that is none.
+    pub fn read_with_space(path: &Path) -> Result<(Self, Option<Space>)> {
         let parse = match output::ending(path).as_str() {
             "vtp" | "vtu" => vtp::parse,
             "ply" => ply::parse,
             "stl" => stl::parse,
             "obj" => obj::parse,
+            "mat" => mat::parse,
             "vtk" => vtk::parse,
             ending => return Err(unknown_ending(path, ending, ENDINGS_READ)),
         };
@@ -85,23 +97,36 @@ impl Surface {
         if bytes.is_empty() {
             return Err(Error::input(path, "content", "an empty file", "a surface"));
         }
-        let surface = parse(path, &bytes)?;
+        let (mut surface, space) = parse(path, &bytes)?;
         surface.check().map_err(|e| e.in_file(path))?;
-        Ok(surface)
+        if let Some(space) = space {
+            surface.nodes_mm.iter_mut().for_each(|p| *p = space.swapped(*p));
+        }
+        Ok((surface, space))
     }
 
-    /// Writes a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`. The first two carry the arrays, all but
-    /// STL (single precision, triangles only) keep positions to the last bit.
+    /// Writes a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`, `.mat` (MATLAB: `vertices`, `faces` counted
+    /// from 1, and the arrays). VTP, PLY and MAT-files carry the arrays, all but STL (single precision, triangles only) keep
+    /// positions to the last bit. The file says that it is in [`Space::Ras`].
     ///
     /// # Errors
     /// [`Error::UnknownEnding`]; [`Error::Surface`] where there are no triangles or [`check`](Self::check) finds fault;
     /// [`Error::Write`], and no partial file is left behind.
     pub fn write(&self, path: &Path) -> Result<()> {
+        self.write_in(path, Space::Ras)
+    }
+
+    /// Writes a surface as [`write`](Self::write) does, with its nodes in a space, which the file names.
+    ///
+    /// # Errors
+    /// As [`write`](Self::write).
+    pub fn write_in(&self, path: &Path, space: Space) -> Result<()> {
         let write = match output::ending(path).as_str() {
             "vtp" => vtp::write,
             "ply" => ply::write,
             "stl" => stl::write,
             "obj" => obj::write,
+            "mat" => mat::write,
             ending => return Err(unknown_ending(path, ending, ENDINGS)),
         };
         self.check()?;
@@ -112,7 +137,12 @@ impl Surface {
                 expected: "at least one".into(),
             });
         }
-        output::write_atomically(path, |w| write(self, w))
+        let mut swapped = None;
+        if space != Space::Ras {
+            let nodes_mm = self.nodes_mm.iter().map(|p| space.swapped(*p)).collect();
+            swapped = Some(Self { nodes_mm, ..self.clone() });
+        }
+        output::write_atomically(path, |w| write(swapped.as_ref().unwrap_or(self), space, w))
     }
 
     /// Checks that positions are finite, that the indices of every triangle name nodes, and that every array has a unique
@@ -176,7 +206,7 @@ impl Surface {
 /// [`Error::UnknownEnding`].
 pub fn check_ending(path: &Path) -> Result<()> {
     match output::ending(path).as_str() {
-        "vtp" | "ply" | "stl" | "obj" => Ok(()),
+        "vtp" | "ply" | "stl" | "obj" | "mat" => Ok(()),
         ending => Err(unknown_ending(path, ending, ENDINGS)),
     }
 }

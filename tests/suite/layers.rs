@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Modules from the bottom to the top; the longest prefix of a path decides.
-const ORDER: [&str; 34] = [
+const ORDER: [&str; 35] = [
     "setters",
     "text",
     "numerics",
@@ -12,6 +12,7 @@ const ORDER: [&str; 34] = [
     "gpu",
     "error",
     "output",
+    "matfile",
     "recording",
     "surface",
     "settings",

@@ -16,6 +16,8 @@ mod experiments;
 mod golden;
 mod layers;
 mod live;
+#[cfg(feature = "cli")]
+mod matlab;
 mod mesh_files;
 mod method;
 #[cfg(all(feature = "cli", unix))]

@@ -2,12 +2,12 @@
 
 use crate::support::{python_with_vtk, shared, tetrahedron, tube};
 use glam::DVec3;
-use lumenmesh::surface::{Surface, Topology};
+use lumenmesh::surface::{NodeArray, Space, Surface, Topology};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::{Path, PathBuf};
 
-const ENDINGS: [&str; 4] = ["vtp", "ply", "stl", "obj"];
+const ENDINGS: [&str; 5] = ["vtp", "ply", "stl", "obj", "mat"];
 
 /// A tube whose numbers need every bit of an f64, with arrays that hold the awkward values.
 fn awkward_surface() -> Surface {
@@ -54,10 +54,10 @@ pub fn error_of(ending: &str, bytes: &[u8]) -> String {
 }
 
 #[test]
-fn vtp_and_ply_keep_positions_and_arrays_to_the_bit() {
+fn vtp_ply_and_mat_keep_positions_and_arrays_to_the_bit() {
     let folder = tempfile::tempdir().unwrap();
     let surface = awkward_surface();
-    for ending in ["vtp", "ply"] {
+    for ending in ["vtp", "ply", "mat"] {
         assert_same(&Surface::read(&written(&surface, folder.path(), ending)).unwrap(), &surface);
     }
 }
@@ -97,6 +97,91 @@ fn the_same_surface_gives_the_same_bytes() {
     }
 }
 
+/// The corners of all triangles: in an STL nodes have another order.
+fn corners(surface: &Surface) -> Vec<[DVec3; 3]> {
+    surface.triangles.iter().map(|t| t.map(|n| surface.nodes_mm[n as usize])).collect()
+}
+
+#[test]
+fn files_name_their_axes_and_are_read_in_those_of_the_tracker() {
+    let folder = tempfile::tempdir().unwrap();
+    let surface = tetrahedron();
+    for ending in ENDINGS {
+        let path = folder.path().join(format!("mesh.{ending}"));
+        for space in [Space::Ras, Space::Lps] {
+            surface.write_in(&path, space).unwrap();
+            let (read, marked) = Surface::read_with_space(&path).unwrap();
+            assert_eq!((marked, corners(&read)), (Some(space), corners(&surface)), "{ending}");
+        }
+        // The mark is what makes the difference: without it the numbers are taken as they are.
+        let bytes = std::fs::read(&path).unwrap();
+        let marks: [(&[u8], &[u8]); 3] =
+            [(b"SPACE", b"WHERE"), (b"space", b"where"), (b"SPACE=LPS", b"SPACE=RAS")];
+        let mut changed = bytes.clone();
+        for (mark, other) in &marks[..2] {
+            while let Some(at) = changed.windows(5).position(|w| w == *mark) {
+                changed[at..at + 5].copy_from_slice(other);
+            }
+        }
+        assert!(changed != bytes, "{ending}");
+        std::fs::write(&path, changed).unwrap();
+        let (read, marked) = Surface::read_with_space(&path).unwrap();
+        assert_eq!(marked, None, "{ending}");
+        assert!(read.nodes_mm.contains(&DVec3::NEG_X) && !read.nodes_mm.contains(&DVec3::X), "{ending}");
+    }
+    for (ending, text) in [
+        (
+            "vtk",
+            "# vtk DataFile Version 3.0\n3D Slicer output. SPACE=LPS\nASCII\nDATASET POLYDATA\nPOINTS 3 float\n\
+                 1 0 0 0 1 0 0 0 1\nPOLYGONS 1 4\n3 0 1 2\n",
+        ),
+        ("obj", "# 3D Slicer output. SPACE=LPS\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n"),
+        (
+            "stl",
+            "solid 3D Slicer output. SPACE=LPS\nfacet normal 0 0 0\nouter loop\nvertex 1 0 0\nvertex 0 1 0\nvertex 0 0 1\n\
+                 endloop\nendfacet\nendsolid\n",
+        ),
+    ] {
+        assert_eq!(
+            read_bytes(ending, text.as_bytes()).unwrap().nodes_mm,
+            [DVec3::NEG_X, DVec3::NEG_Y, DVec3::Z]
+        );
+    }
+}
+
+#[test]
+fn meshes_of_matlab_that_cannot_be_used_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mesh.mat");
+    let triangle = Surface {
+        nodes_mm: vec![DVec3::X, DVec3::Y, DVec3::Z],
+        triangles: vec![[0, 1, 2]],
+        arrays: vec![NodeArray { name: "é 1".into(), values: vec![1.0, 2.0, 3.0] }],
+    };
+    triangle.write(&path).unwrap();
+    assert_eq!(Surface::read(&path).unwrap().arrays[0].name, "array___1");
+    let bytes = std::fs::read(&path).unwrap();
+    let changed = |from: &[u8], to: &[u8]| {
+        let at = bytes.windows(from.len()).position(|w| w == from).unwrap();
+        let mut changed = bytes.clone();
+        changed[at..at + to.len()].copy_from_slice(to);
+        error_of("mat", &changed)
+    };
+    let message = changed(b"faces", b"facets"[..5].as_ref());
+    assert!(
+        message.contains("faces: found variables ") && message.contains("expected vertices (V×3)"),
+        "{message}"
+    );
+    let [three, four] = [3.0_f64, 4.0].map(f64::to_le_bytes);
+    let message = changed(&three, &four);
+    assert!(message.contains("faces, row 1: found 4, expected a node from 1 to 3"), "{message}");
+    let mut twice = triangle.clone();
+    twice.set_array("vertices", vec![0.0; 3]);
+    let message = twice.write(&path).unwrap_err().to_string();
+    assert!(message.contains("two variables would be named \"vertices\""), "{message}");
+    assert_eq!(std::fs::read(&path).unwrap(), bytes, "nothing is lost");
+}
+
 #[test]
 fn a_broken_surface_is_not_written() {
     let folder = tempfile::tempdir().unwrap();
@@ -114,7 +199,7 @@ fn a_broken_surface_is_not_written() {
     }
     let text = tetrahedron().write(&folder.path().join("mesh.3mf")).unwrap_err().to_string();
     assert!(
-        text.ends_with("mesh.3mf: unknown ending \"3mf\", expected one of .vtp, .ply, .stl, .obj"),
+        text.ends_with("mesh.3mf: unknown ending \"3mf\", expected one of .vtp, .ply, .stl, .obj, .mat"),
         "{text}"
     );
 }
@@ -507,7 +592,11 @@ fn what_vtk_writes_loads_in_every_encoding() {
     for file in std::fs::read_dir(output.path()).unwrap() {
         let path = file.unwrap().path();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
-        let read = Surface::read(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let (read, space) = Surface::read_with_space(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
+        // VTK keeps the field that names the axes, in each of its encodings.
+        if name.ends_with(".vtp") {
+            assert_eq!(space, Some(Space::Ras), "{name}");
+        }
         // Of a mesh in memory VTK writes all into each piece. Pieces have nodes of their own.
         let copies = if name == "pieces.vtp" { 3 } else { 1 };
         assert_eq!(read.triangles.len(), copies * surface.triangles.len(), "{name}");

@@ -20,14 +20,15 @@
 //!   both.
 //! - `valid` or `ok` (F×1, 0: the pose is [lost](Pose::LOST)) or cells of words in `status` may be there.
 
-use super::matfile::{self, Array, Fields, Value};
 use super::status::says_lost;
-use super::table::{index, shown};
+use super::table::index;
 use super::{rising_numbers, rotation};
 use crate::geometry::Pose;
+use crate::matfile::{self, Array, Fields, Value};
 use crate::output::{ending, write_atomically};
 use crate::recording::CylinderModel;
 use crate::recording::{Frame, Recording};
+use crate::text::shown;
 use crate::{Error, Result};
 use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};
 use std::collections::BTreeMap;
@@ -629,5 +630,7 @@ pub(in crate::recording) fn write(recording: &Recording, path: &Path) -> Result<
         ];
         variables.extend(CYLINDER.into_iter().zip(columns));
     }
+    let variables: Vec<(&str, Value)> =
+        variables.into_iter().map(|(name, array)| (name, Value::Real(array))).collect();
     write_atomically(path, |file| matfile::write(file, &variables))
 }

@@ -2,7 +2,6 @@
 
 pub(super) mod csv;
 pub(super) mod mat;
-mod matfile;
 mod status;
 mod table;
 mod units;

@@ -1,7 +1,8 @@
 //! Delimited text as spreadsheets and scripts write it.
 
 use super::units::{Unit, split_unit};
-use crate::{Error, Result, text};
+use crate::text::{self, shown};
+use crate::{Error, Result};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -512,16 +513,6 @@ fn parse(field: &str) -> Option<f64> {
 /// A field for a message: in quotes, control characters escaped, not too long.
 pub(super) fn quoted(field: &str) -> String {
     format!("{:?}", shown(field, SHOWN))
-}
-
-/// A text of the file for a message: without control characters, not too long.
-pub(super) fn shown(text: &str, length: usize) -> String {
-    let mut shown: String =
-        text.chars().take(length).map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
-    if text.chars().nth(length).is_some() {
-        shown.push('…');
-    }
-    shown
 }
 
 /// A whole number that is not negative and that a double holds exactly.

@@ -84,6 +84,17 @@ impl Picture {
     }
 
     /// The picture as the bytes of a PNG file.
+    ///
+    /// # Errors
+    /// [`Error::Output`] where the encoder fails.
+    pub fn png(&self) -> Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        let encoded = self.encode(&mut bytes);
+        encoded.map_err(|source| Error::Output { target: "a picture", source })?;
+        Ok(bytes)
+    }
+
+    /// Writes the bytes of a PNG file.
     pub(super) fn encode(&self, out: impl std::io::Write) -> std::io::Result<()> {
         let mut encoder = png::Encoder::new(out, self.width, self.height);
         encoder.set_color(png::ColorType::Rgb);
@@ -115,7 +126,7 @@ pub fn render(surface: &Surface, style: &Style) -> Result<Picture> {
     let [width, height] = style.size;
     if !(320..=4096).contains(&width) || !(320..=4096).contains(&height) {
         return Err(Error::Setting {
-            name: "size",
+            name: "size".into(),
             found: format!("{width}x{height}"),
             expected: "320 to 4096 pixels each way".into(),
         });
@@ -346,7 +357,7 @@ impl<'a> Values<'a> {
             Some([a, b]) if a.is_finite() && b.is_finite() && a < b => [a, b],
             Some([a, b]) => {
                 return Err(Error::Setting {
-                    name: "range",
+                    name: "range".into(),
                     found: format!("{a},{b}"),
                     expected: "two finite numbers, the smaller first".into(),
                 });

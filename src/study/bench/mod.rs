@@ -306,8 +306,11 @@ pub fn run(
     #[cfg(not(feature = "gpu"))]
     let (parity, device) = (against_reference(&section, &settings, &expected)?, None);
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build();
-    let one =
-        one.map_err(|e| Error::Setting { name: "threads", found: e.to_string(), expected: "1".into() })?;
+    let one = one.map_err(|e| Error::Setting {
+        name: "threads".into(),
+        found: e.to_string(),
+        expected: "1".into(),
+    })?;
     let cpu_row = CpuRow {
         one_thread: one.install(|| Times::measure(repeats, fit))?,
         all_threads: Times::measure(repeats, fit)?,

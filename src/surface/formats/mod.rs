@@ -4,6 +4,7 @@
 //! of bad input: no buffer is larger than the size of the file justifies.
 
 mod cells;
+pub(super) mod mat;
 mod number;
 pub(super) mod obj;
 pub(super) mod ply;

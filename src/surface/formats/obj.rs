@@ -2,7 +2,7 @@
 
 use super::cells::{Contents, require_triangles};
 use super::text;
-use crate::surface::Surface;
+use crate::surface::{Space, Surface};
 use crate::text::decoded;
 use crate::{Error, Result};
 use glam::DVec3;
@@ -11,10 +11,14 @@ use std::io::Write;
 use std::path::Path;
 
 /// Reads `v` and `f` lines without texture and normal indices, counts lines and points, and skips all others.
-pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
+pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<(Surface, Option<Space>)> {
     let text = decoded(bytes);
     let mut contents = Contents::default();
+    let mut space = None;
     for (number, line) in logical_lines(&text) {
+        if line.starts_with('#') {
+            space = space.or_else(|| Space::marked(&line));
+        }
         let field = || format!("line {number}");
         let mut words = line.split('#').next().unwrap_or_default().split_whitespace();
         match words.next() {
@@ -44,7 +48,7 @@ pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
         }
     }
     let instead = [("lines", contents.lines), ("points", contents.points)];
-    require_triangles(contents.triangulate(path)?, path, &instead)
+    Ok((require_triangles(contents.triangulate(path)?, path, &instead)?, space))
 }
 
 /// The node of a corner such as `7`, `7/1`, `7//3` or `-1`: negative indices count back from the last node so far.
@@ -75,7 +79,8 @@ fn logical_lines(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
 }
 
 /// Rust prints the shortest digits that read back as the same number.
-pub(in crate::surface) fn write(surface: &Surface, w: &mut dyn Write) -> std::io::Result<()> {
+pub(in crate::surface) fn write(surface: &Surface, space: Space, w: &mut dyn Write) -> std::io::Result<()> {
+    writeln!(w, "# lengths in mm, by lumenmesh, SPACE={space}")?;
     for p in &surface.nodes_mm {
         writeln!(w, "v {} {} {}", p.x, p.y, p.z)?;
     }

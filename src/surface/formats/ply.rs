@@ -3,7 +3,7 @@
 use super::cells::{Contents, require_triangles};
 use super::number::Number;
 use super::text::{self, HeaderLines};
-use crate::surface::{NodeArray, Surface};
+use crate::surface::{NodeArray, Space, Surface};
 use crate::{Error, Result};
 use glam::DVec3;
 use std::io::Write;
@@ -125,8 +125,8 @@ impl<'a> Body<'a> {
     }
 }
 
-pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
-    let (encoding, elements, rest) = parse_header(path, bytes)?;
+pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<(Surface, Option<Space>)> {
+    let Header { encoding, elements, rest, space } = parse_header(path, bytes)?;
     let mut body = Body { path, rest, encoding };
     let mut contents = Contents::default();
     for element in &elements {
@@ -151,13 +151,22 @@ pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
         return Err(Error::input(path, "end", found, "the end of the file"));
     }
     let edges = elements.iter().find(|e| e.name == "edge").map_or(0, |e| e.count);
-    require_triangles(contents.triangulate(path)?, path, &[("edges", edges)])
+    Ok((require_triangles(contents.triangulate(path)?, path, &[("edges", edges)])?, space))
 }
 
-fn parse_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Encoding, Vec<Element>, &'a [u8])> {
+/// The header, and what follows it.
+struct Header<'a> {
+    encoding: Encoding,
+    elements: Vec<Element>,
+    space: Option<Space>,
+    rest: &'a [u8],
+}
+
+fn parse_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<Header<'a>> {
     let mut lines = HeaderLines::new(bytes);
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
+    let mut space = None;
     for number in 1.. {
         let Some(line) = lines.next() else {
             return Err(match number {
@@ -193,13 +202,14 @@ fn parse_header<'a>(path: &Path, bytes: &'a [u8]) -> Result<(Encoding, Vec<Eleme
                 let element = elements.last_mut().ok_or_else(|| wrong("an element before its properties"))?;
                 element.properties.push(Property { name: (*name).into(), number, list });
             }
-            (_, ["comment" | "obj_info", ..] | []) => {}
+            (_, ["comment" | "obj_info", ..]) => space = space.or_else(|| Space::marked(&line)),
+            (_, []) => {}
             (_, ["end_header"]) => break,
             _ => return Err(wrong("format, element, property, comment or end_header")),
         }
     }
     let encoding = encoding.ok_or_else(|| Error::input(path, "header", "no format line", "format"))?;
-    Ok((encoding, elements, lines.rest))
+    Ok(Header { encoding, elements, space, rest: lines.rest })
 }
 
 fn read_vertices(body: &mut Body, element: &Element, contents: &mut Contents) -> Result<()> {
@@ -271,8 +281,11 @@ fn skip_rows(body: &mut Body, element: &Element) -> Result<()> {
 }
 
 /// Positions and arrays as `double`. White space in an array's name becomes `_`, as PLY's header cannot hold it.
-pub(in crate::surface) fn write(surface: &Surface, w: &mut dyn Write) -> std::io::Result<()> {
-    writeln!(w, "ply\nformat binary_little_endian 1.0\ncomment lengths in mm, by lumenmesh")?;
+pub(in crate::surface) fn write(surface: &Surface, space: Space, w: &mut dyn Write) -> std::io::Result<()> {
+    writeln!(
+        w,
+        "ply\nformat binary_little_endian 1.0\ncomment lengths in mm, by lumenmesh\ncomment SPACE={space}"
+    )?;
     writeln!(w, "element vertex {}", surface.nodes_mm.len())?;
     for name in ["x", "y", "z"] {
         writeln!(w, "property double {name}")?;

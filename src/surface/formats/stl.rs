@@ -2,7 +2,7 @@
 
 use super::cells::require_triangles;
 use super::text;
-use crate::surface::Surface;
+use crate::surface::{Space, Surface};
 use crate::text::decoded;
 use crate::{Error, Result};
 use glam::DVec3;
@@ -10,17 +10,27 @@ use std::collections::HashMap;
 use std::io::Write;
 use std::path::Path;
 
-const HEADER: usize = 84;
+/// The title of a binary file, and its header with the count of triangles, in bytes.
+const TITLE: usize = 80;
+const HEADER: usize = TITLE + 4;
 const RECORD: usize = 50;
 
 /// So many bytes tell a binary file from a text: they have the count of triangles, whose last byte is 0 in files of less
 /// than 800 MB, and the first of them.
 const LOOKED_AT: usize = 1024;
 
-pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
+pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<(Surface, Option<Space>)> {
     let corners = if is_text(bytes) { text_corners(path, bytes)? } else { binary_corners(path, bytes)? };
     let count = corners.len() / 3;
-    require_triangles(weld(path, &corners)?, path, &[("triangles without three different corners", count)])
+    let instead = [("triangles without three different corners", count)];
+    Ok((require_triangles(weld(path, &corners)?, path, &instead)?, space(bytes)))
+}
+
+/// In the header, or on the first line of a text.
+fn space(bytes: &[u8]) -> Option<Space> {
+    let head = bytes.get(..TITLE).unwrap_or(bytes);
+    let end = if is_text(bytes) { head.iter().position(|&b| b == b'\n') } else { None };
+    Space::marked(&String::from_utf8_lossy(&head[..end.unwrap_or(head.len())]))
 }
 
 /// By its bytes, not by its first word: binary files may begin with "solid" too.
@@ -129,10 +139,10 @@ fn weld(path: &Path, corners: &[[f32; 3]]) -> Result<Surface> {
 }
 
 /// Binary.
-pub(in crate::surface) fn write(surface: &Surface, w: &mut dyn Write) -> std::io::Result<()> {
-    let mut header = [0u8; 80];
-    let title = b"binary STL, mm, by lumenmesh";
-    header[..title.len()].copy_from_slice(title);
+pub(in crate::surface) fn write(surface: &Surface, space: Space, w: &mut dyn Write) -> std::io::Result<()> {
+    let mut header = [0u8; TITLE];
+    let title = format!("binary STL, mm, by lumenmesh, SPACE={space}");
+    header[..title.len()].copy_from_slice(title.as_bytes());
     w.write_all(&header)?;
     let count = u32::try_from(surface.triangles.len()).map_err(std::io::Error::other)?;
     w.write_all(&count.to_le_bytes())?;

@@ -6,7 +6,7 @@
 use super::cells::{Cells, Contents, require_triangles};
 use super::number::Number;
 use super::text::{self, HeaderLines};
-use crate::surface::{NodeArray, Surface};
+use crate::surface::{NodeArray, Space, Surface};
 use crate::{Error, Result};
 use glam::DVec3;
 use std::path::Path;
@@ -16,9 +16,11 @@ struct Body<'a> {
     path: &'a Path,
     rest: &'a [u8],
     is_text: bool,
+    /// As the title says.
+    space: Option<Space>,
 }
 
-pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
+pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<(Surface, Option<Space>)> {
     let mut body = Body::new(path, bytes)?;
     let mut contents = Contents::default();
     // How many values the attributes that follow have, and whether they are of nodes.
@@ -60,7 +62,7 @@ pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
         contents.push_of_vtk_type(path, k, types.get(k).copied().unwrap_or(-1), cell)?;
     }
     let instead = [("lines", contents.lines), ("points", contents.points)];
-    require_triangles(contents.triangulate(path)?, path, &instead)
+    Ok((require_triangles(contents.triangulate(path)?, path, &instead)?, body.space))
 }
 
 /// Keeps the first array of each name.
@@ -85,12 +87,12 @@ impl<'a> Body<'a> {
         };
         let begins = |line: &str| line.to_ascii_lowercase().starts_with("# vtk datafile version");
         next("line 1", "# vtk DataFile Version", &begins)?;
-        next("line 2", "a title", &|_| true)?;
+        let space = Space::marked(&next("line 2", "a title", &|_| true)?);
         let encodings = ["ASCII", "BINARY"];
         let encoding = next("line 3", "ASCII or BINARY", &|line| {
             encodings.iter().any(|name| line.eq_ignore_ascii_case(name))
         })?;
-        let mut body = Self { path, rest: lines.rest, is_text: encoding == encodings[0] };
+        let mut body = Self { path, rest: lines.rest, is_text: encoding == encodings[0], space };
         let [keyword, kind] = [(); 2].map(|()| body.next_word().unwrap_or_default().to_ascii_uppercase());
         if keyword != "DATASET" || !["POLYDATA", "UNSTRUCTURED_GRID"].contains(&kind.as_str()) {
             let expected = "DATASET POLYDATA or DATASET UNSTRUCTURED_GRID";
@@ -109,7 +111,7 @@ impl<'a> Body<'a> {
 
     /// The next word, without taking it.
     fn peek(&self) -> Option<String> {
-        Body { path: self.path, rest: self.rest, is_text: self.is_text }.next_word()
+        Body { path: self.path, rest: self.rest, is_text: self.is_text, space: None }.next_word()
     }
 
     /// What is left of the line, and goes on to the next.

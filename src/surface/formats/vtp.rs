@@ -7,7 +7,7 @@
 use super::cells::{Contents, require_triangles};
 use super::number::Number;
 use super::text;
-use crate::surface::{NodeArray, Surface};
+use crate::surface::{NodeArray, Space, Surface};
 use crate::text::decoded;
 use crate::{Error, Result};
 use base64::Engine as _;
@@ -60,6 +60,8 @@ struct Document<'a> {
     header_width: usize,
     compressor: Option<Compressor>,
     pieces: Vec<Piece>,
+    /// The field `SPACE` of the whole file.
+    space: Option<DataArray>,
     appended_raw: bool,
     /// What follows the `_` of `AppendedData`.
     appended: &'a [u8],
@@ -68,7 +70,7 @@ struct Document<'a> {
     taken: Cell<usize>,
 }
 
-pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
+pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<(Surface, Option<Space>)> {
     let document = Document::parse(path, bytes)?;
     let mut surface = Surface::default();
     let (mut lines, mut points) = (0, 0);
@@ -79,7 +81,7 @@ pub(in crate::surface) fn parse(path: &Path, bytes: &[u8]) -> Result<Surface> {
         append(&mut surface, contents.triangulate(path)?, path)?;
     }
     let instead = [("lines", lines), ("points", points), ("pieces", document.pieces.len())];
-    require_triangles(surface, path, &instead)
+    Ok((require_triangles(surface, path, &instead)?, document.space()?))
 }
 
 /// Appends a piece. An array that some pieces lack has no value, NaN, at their nodes.
@@ -117,6 +119,7 @@ impl<'a> Document<'a> {
             header_width: 4,
             compressor: None,
             pieces: Vec::new(),
+            space: None,
             appended_raw: false,
             appended: &[],
             limit: bytes.len().saturating_mul(LARGEST_EXPANSION).max(SMALLEST_LIMIT),
@@ -150,6 +153,7 @@ impl<'a> Document<'a> {
         let xml = |error: quick_xml::Error| Error::input(path, "XML", error, "well-formed XML");
         let mut reader = quick_xml::Reader::from_str(text);
         let mut open: Vec<String> = Vec::new();
+        let mut is_space = false;
         loop {
             let event = reader.read_event().map_err(xml)?;
             match &event {
@@ -165,8 +169,11 @@ impl<'a> Document<'a> {
                             let parent = open.last().cloned().unwrap_or_default();
                             let array = self.data_array(tag, parent)?;
                             // Before the first piece are those of the whole file, such as its time.
-                            if let Some(piece) = self.pieces.last_mut() {
-                                piece.arrays.push(array);
+                            is_space = array.parent == "FieldData" && array.name == "SPACE";
+                            match self.pieces.last_mut() {
+                                _ if is_space => self.space = Some(array),
+                                Some(piece) => piece.arrays.push(array),
+                                None => {}
                             }
                         }
                         _ => {}
@@ -177,7 +184,11 @@ impl<'a> Document<'a> {
                 }
                 // VTK nests information keys in an array: only text right below the array is data.
                 Event::Text(content) if open.last().is_some_and(|name| name == "DataArray") => {
-                    if let Some(array) = self.pieces.last_mut().and_then(|p| p.arrays.last_mut()) {
+                    let array = match is_space {
+                        true => self.space.as_mut(),
+                        false => self.pieces.last_mut().and_then(|p| p.arrays.last_mut()),
+                    };
+                    if let Some(array) = array {
                         array.text.push_str(&content.xml_content(XmlVersion::Explicit1_0));
                     }
                 }
@@ -277,6 +288,20 @@ impl<'a> Document<'a> {
             offset: self.count(tag, "offset")?.unwrap_or(0),
             text: String::new(),
         })
+    }
+
+    /// The space that the file names: text, whose characters are numbers that end with zero.
+    fn space(&self) -> Result<Option<Space>> {
+        let Some(array) = self.space.as_ref().filter(|array| array.number == "String") else {
+            return Ok(None);
+        };
+        let characters = self.numbers_of_type(array, Number::U8)?;
+        let name: String =
+            characters.iter().take_while(|&&c| c != 0.0).map(|&c| char::from(c as u8)).collect();
+        match Space::named(&name) {
+            Some(space) => Ok(Some(space)),
+            None => Err(Error::input(self.path, "SPACE", format!("{name:?}"), "RAS or LPS")),
+        }
     }
 
     fn contents(&self, piece: &Piece) -> Result<Contents> {
@@ -385,6 +410,10 @@ impl<'a> Document<'a> {
         let number = number_of_type(&array.number).ok_or_else(|| {
             Error::input(self.path, field(array), format!("type {:?}", array.number), "Int8 to Float64")
         })?;
+        self.numbers_of_type(array, number)
+    }
+
+    fn numbers_of_type(&self, array: &DataArray, number: Number) -> Result<Vec<f64>> {
         let bytes = match array.format.as_str() {
             "ascii" => return self.numbers_of_text(array),
             "binary" => {
@@ -578,12 +607,19 @@ fn decoded_head(text: &[u8], bytes: usize) -> Option<Vec<u8>> {
 }
 
 /// Float64 throughout, so that nothing is lost.
-pub(in crate::surface) fn write(surface: &Surface, w: &mut dyn Write) -> std::io::Result<()> {
+pub(in crate::surface) fn write(surface: &Surface, space: Space, w: &mut dyn Write) -> std::io::Result<()> {
     let (nodes, triangles) = (surface.nodes_mm.len(), surface.triangles.len());
     writeln!(w, "<?xml version=\"1.0\"?>")?;
     writeln!(
         w,
         "<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n<PolyData>"
+    )?;
+    let characters: Vec<String> = space.name().bytes().chain([0]).map(|c| c.to_string()).collect();
+    writeln!(
+        w,
+        "<FieldData>\n<DataArray type=\"String\" Name=\"SPACE\" NumberOfTuples=\"1\" format=\"ascii\">\n{}\n</DataArray>\n\
+         </FieldData>",
+        characters.join(" ")
     )?;
     writeln!(
         w,

@@ -57,7 +57,7 @@ pub(in crate::sweep) fn resolution(
     }
     if length_mm / step_mm * nodes as f64 > MAX_NODES {
         return Err(Error::Setting {
-            name: "sweep.nodes",
+            name: "sweep.nodes".into(),
             found: format!("{nodes} per ring of {radius_mm:.3} mm radius along {length_mm:.0} mm"),
             expected: format!("at most {MAX_NODES} in all"),
         });

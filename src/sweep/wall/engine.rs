@@ -29,7 +29,7 @@ pub(in crate::sweep) fn fit(
             fit_on_cpu(grid, echoes, settings, Some("devices weigh all echoes alike".into()))
         }
         Backend::Gpu if ages => Err(crate::Error::Setting {
-            name: "backend",
+            name: "backend".into(),
             found: "gpu".into(),
             expected: "auto or cpu with sweep.half_life_s: devices weigh all echoes alike".into(),
         }),

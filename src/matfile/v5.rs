@@ -301,36 +301,57 @@ fn stored(kind: u32) -> Option<Stored> {
     })
 }
 
-/// Writes arrays of doubles, uncompressed and little-endian; equal arrays give equal bytes.
-pub(in crate::recording::formats) fn write(
-    file: &mut dyn Write,
-    variables: &[(&str, Array)],
-) -> io::Result<()> {
+/// Writes arrays of doubles and texts, uncompressed and little-endian; equal values give equal bytes.
+pub(crate) fn write(file: &mut dyn Write, variables: &[(&str, Value)]) -> io::Result<()> {
     let text = concat!("MATLAB 5.0 MAT-file, written by lumenmesh ", env!("CARGO_PKG_VERSION"));
     write!(file, "{text:<116}")?;
     file.write_all(&[0; 8])?;
     file.write_all(&[0, 1, b'I', b'M'])?;
-    for (name, array) in variables {
-        let mut head = Vec::new();
-        push_element(&mut head, 6, &[u32::from(DOUBLE_CLASS).to_le_bytes(), [0; 4]].concat())?;
-        let shape: Vec<u8> = array.shape.iter().flat_map(|&size| (size as u32).to_le_bytes()).collect();
-        push_element(&mut head, 5, &shape)?;
-        push_element(&mut head, 1, name.as_bytes())?;
-        let size = |bytes: usize| {
-            let too_large = || fault(format!("{name} is larger than a MAT-file of version 5 can hold"));
-            u32::try_from(bytes).ok().filter(|&n| n <= i32::MAX as u32).ok_or_else(too_large)
-        };
-        let value_bytes = array.values.len() * 8;
-        file.write_all(&MATRIX.to_le_bytes())?;
-        file.write_all(&size(head.len() + 8 + value_bytes)?.to_le_bytes())?;
-        file.write_all(&head)?;
-        file.write_all(&9_u32.to_le_bytes())?;
-        file.write_all(&size(value_bytes)?.to_le_bytes())?;
-        for value in &array.values {
-            file.write_all(&value.to_le_bytes())?;
+    for (name, value) in variables {
+        match value {
+            Value::Real(Array { shape, values }) => {
+                let values = values.iter().map(|value| value.to_le_bytes());
+                write_variable(file, name, DOUBLE_CLASS, shape, (9, values))?;
+            }
+            Value::Text(text) => {
+                let units: Vec<u16> = text.encode_utf16().collect();
+                let values = units.iter().map(|unit| unit.to_le_bytes());
+                write_variable(file, name, TEXT_CLASS, &[1, units.len()], (4, values))?;
+            }
+            other => return Err(fault(format!("{name} is {}, which is not written", other.kind()))),
         }
     }
     Ok(())
+}
+
+/// Writes a variable whose values are stored as a type of numbers.
+fn write_variable<const BYTES: usize>(
+    file: &mut dyn Write,
+    name: &str,
+    class: u8,
+    shape: &[usize],
+    (kind, values): (u32, impl ExactSizeIterator<Item = [u8; BYTES]>),
+) -> io::Result<()> {
+    let mut head = Vec::new();
+    push_element(&mut head, 6, &[u32::from(class).to_le_bytes(), [0; 4]].concat())?;
+    let shape: Vec<u8> = shape.iter().flat_map(|&size| (size as u32).to_le_bytes()).collect();
+    push_element(&mut head, 5, &shape)?;
+    push_element(&mut head, 1, name.as_bytes())?;
+    let size = |bytes: usize| {
+        let too_large = || fault(format!("{name} is larger than a MAT-file of version 5 can hold"));
+        u32::try_from(bytes).ok().filter(|&n| n <= i32::MAX as u32).ok_or_else(too_large)
+    };
+    let bytes = values.len() * BYTES;
+    let padding = bytes.next_multiple_of(8) - bytes;
+    file.write_all(&MATRIX.to_le_bytes())?;
+    file.write_all(&size(head.len() + 8 + bytes + padding)?.to_le_bytes())?;
+    file.write_all(&head)?;
+    file.write_all(&kind.to_le_bytes())?;
+    file.write_all(&size(bytes)?.to_le_bytes())?;
+    for value in values {
+        file.write_all(&value)?;
+    }
+    file.write_all(&[0; 8][..padding])
 }
 
 fn push_element(to: &mut Vec<u8>, kind: u32, bytes: &[u8]) -> io::Result<()> {
@@ -350,7 +371,7 @@ mod tests {
     fn written() -> Vec<u8> {
         let counted = |shape: &[usize]| {
             let n: usize = shape.iter().product();
-            Array { shape: shape.to_vec(), values: (0..n).map(|i| i as f64 / 7.0).collect() }
+            Value::Real(Array { shape: shape.to_vec(), values: (0..n).map(|i| i as f64 / 7.0).collect() })
         };
         let mut bytes = Vec::new();
         write(&mut bytes, &[("a", counted(&[3, 3, 4])), ("longer_name", counted(&[5, 2]))]).unwrap();
@@ -422,7 +443,7 @@ mod tests {
     fn big_endian_files_hold_the_same() {
         let array = Array { shape: vec![2, 2, 2], values: (0..8).map(|i| f64::from(i) / 7.0).collect() };
         let mut bytes = Vec::new();
-        write(&mut bytes, &[("a", array.clone())]).unwrap();
+        write(&mut bytes, &[("a", Value::Real(array.clone()))]).unwrap();
         bytes[124..HEADER_BYTES].copy_from_slice(&[1, 0, b'M', b'I']);
         // Tags, flags and sizes are words of 4 bytes, the values of 8; the name between them has no order.
         let (head, values) = bytes[HEADER_BYTES..].split_at_mut(72);

@@ -5,7 +5,7 @@
 //! references.
 
 use super::{Array, Budget, FORMATS, Fields, MAX_BYTES, MAX_DEPTH, Value, count, text};
-use crate::recording::formats::table::shown;
+use crate::text::shown;
 use crate::{Error, Result};
 use hdf5_pure::{Dataset, File, Group, Object};
 use std::path::Path;

@@ -4,7 +4,7 @@ mod v4;
 mod v5;
 mod v73;
 
-pub(super) use v5::write;
+pub(crate) use v5::write;
 
 use crate::{Error, Result};
 use std::collections::BTreeMap;
@@ -12,7 +12,7 @@ use std::path::Path;
 
 /// A real array, its values in column-major order.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Array {
+pub(crate) struct Array {
     pub shape: Vec<usize>,
     pub values: Vec<f64>,
 }
@@ -26,11 +26,11 @@ impl Array {
 }
 
 /// Variables, or the fields of a struct, by their names.
-pub(super) type Fields = BTreeMap<String, Value>;
+pub(crate) type Fields = BTreeMap<String, Value>;
 
 /// The value of a variable or of a field.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Value {
+pub(crate) enum Value {
     Real(Array),
     Logical(Array),
     Text(String),
@@ -97,7 +97,7 @@ const FORMATS: &str = "a MAT-file (in MATLAB and Octave: save with -v7)";
 ///
 /// # Errors
 /// Where the file cannot be read, is no MAT-file, is damaged, or holds more than fits into memory.
-pub(super) fn read(path: &Path, wanted: &[&str]) -> Result<Fields> {
+pub(crate) fn read(path: &Path, wanted: &[&str]) -> Result<Fields> {
     let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
     match format(&bytes) {
         Ok(Format::V4(order)) => v4::read(path, &bytes, order, wanted),
