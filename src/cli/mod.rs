@@ -11,6 +11,7 @@ macro_rules! println {
     ($($text:tt)*) => { print!("{}\n", format_args!($($text)*)) };
 }
 
+mod batch;
 mod bench;
 mod conventions;
 mod convert;
@@ -58,6 +59,7 @@ enum Command {
     Info(info::Arguments),
     Import(import::Arguments),
     Convert(convert::Arguments),
+    Batch(batch::Arguments),
     Demo(demo::Arguments),
     Bench(bench::Arguments),
     Simulate(simulate::Arguments),
@@ -94,6 +96,7 @@ pub fn main() -> ExitCode {
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Convert(arguments) => arguments.run(),
+        Command::Batch(arguments) => arguments.run(),
         Command::Demo(arguments) => arguments.run(),
         Command::Bench(arguments) => arguments.run(),
         Command::Simulate(arguments) => arguments.run(),

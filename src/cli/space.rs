@@ -11,6 +11,11 @@ pub(super) struct SpaceArgument {
 }
 
 impl SpaceArgument {
+    /// The space, for messages.
+    pub(super) fn name(&self) -> Space {
+        self.space
+    }
+
     pub(super) fn write(&self, surface: &Surface, path: &Path) -> Result<()> {
         surface.write_in(path, self.space)
     }

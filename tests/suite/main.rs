@@ -4,6 +4,8 @@
 
 mod support;
 
+#[cfg(feature = "cli")]
+mod batch;
 mod blend;
 #[cfg(feature = "cli")]
 mod coronary;
