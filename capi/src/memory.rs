@@ -85,7 +85,10 @@ pub unsafe fn copy<T: Copy>(what: &str, values: &[T], to: *mut T, capacity: usiz
     if capacity < values.len() {
         return Err(Failure::too_small(what, capacity, values.len()));
     }
-    // SAFETY: not null, and large enough as the caller answers for; a host's buffer is none of ours.
+    if !to.is_aligned() {
+        return Err(Failure::argument(format!("{what}: found a buffer at {to:?}, which cannot be")));
+    }
+    // SAFETY: not null, aligned, and large enough as the caller answers for; a host's buffer is none of ours.
     unsafe { std::ptr::copy_nonoverlapping(values.as_ptr(), to, values.len()) };
     Ok(())
 }

@@ -165,15 +165,16 @@ impl<'a> Document<'a> {
                             let piece = self.piece(tag)?;
                             self.pieces.push(piece);
                         }
-                        "DataArray" => {
+                        // VTK's name of an array of texts, and of no other that is used here.
+                        "DataArray" | "Array" => {
                             let parent = open.last().cloned().unwrap_or_default();
                             let array = self.data_array(tag, parent)?;
                             // Before the first piece are those of the whole file, such as its time.
                             is_space = array.parent == "FieldData" && array.name == "SPACE";
                             match self.pieces.last_mut() {
                                 _ if is_space => self.space = Some(array),
-                                Some(piece) => piece.arrays.push(array),
-                                None => {}
+                                Some(piece) if name == "DataArray" => piece.arrays.push(array),
+                                _ => {}
                             }
                         }
                         _ => {}
@@ -183,7 +184,11 @@ impl<'a> Document<'a> {
                     }
                 }
                 // VTK nests information keys in an array: only text right below the array is data.
-                Event::Text(content) if open.last().is_some_and(|name| name == "DataArray") => {
+                Event::Text(content)
+                    if open
+                        .last()
+                        .is_some_and(|name| name == "DataArray" || (is_space && name == "Array")) =>
+                {
                     let array = match is_space {
                         true => self.space.as_mut(),
                         false => self.pieces.last_mut().and_then(|p| p.arrays.last_mut()),
@@ -617,7 +622,7 @@ pub(in crate::surface) fn write(surface: &Surface, space: Space, w: &mut dyn Wri
     let characters: Vec<String> = space.name().bytes().chain([0]).map(|c| c.to_string()).collect();
     writeln!(
         w,
-        "<FieldData>\n<DataArray type=\"String\" Name=\"SPACE\" NumberOfTuples=\"1\" format=\"ascii\">\n{}\n</DataArray>\n\
+        "<FieldData>\n<Array type=\"String\" Name=\"SPACE\" NumberOfTuples=\"1\" format=\"ascii\">\n{}\n</Array>\n\
          </FieldData>",
         characters.join(" ")
     )?;
