@@ -63,6 +63,13 @@ pub fn device() -> Option<&'static Device> {
     DEVICE.get_or_init(open).as_ref()
 }
 
+/// The same device without subgroups, once for all tests.
+pub fn device_without_subgroups() -> Option<&'static Device> {
+    static DEVICE: OnceLock<Option<Device>> = OnceLock::new();
+    let without = |device: Device| Device { engine: device.engine.without_subgroups(), ..device };
+    DEVICE.get_or_init(|| open().map(without)).as_ref()
+}
+
 /// An engine of its own, for a test that does harm to its device.
 pub fn open() -> Option<Device> {
     let found = adapters();
