@@ -1,7 +1,7 @@
 //! The passes that group points by face, `bin` to `scatter`, against their twins.
 
 use crate::compare::{Tolerance, integers, numbers, places};
-use crate::device::{Device, device};
+use crate::device::{Device, device, device_of_a_host};
 use crate::sections::{RADIUS_MM, coordinates, seeded, wall};
 use lumenmesh::cylinders::Tube;
 use lumenmesh::cylinders::{FitRequest, Track};
@@ -81,6 +81,17 @@ fn bin_and_scatter_are_their_twin() {
             bins_and_scatters(device, &wall(count, 17), &settings);
         }
     }
+}
+
+/// More points than one window of places has, window by window, and a last window that is not full.
+#[test]
+fn scatter_writes_window_by_window() {
+    let Some(device) = device_of_a_host() else { return };
+    let settings = Settings::default().with_nodes(64).with_levels(48);
+    let count = (2 << 21) + 1;
+    let workspace = device.engine.prepare(count, RADIUS_MM, &settings).unwrap();
+    assert_eq!(workspace.parameters().window, 1 << 21);
+    bins_and_scatters(device, &wall(count as usize, 241), &settings);
 }
 
 #[test]

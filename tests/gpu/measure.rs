@@ -2,7 +2,7 @@
 
 use crate::compare::{Tolerance, decisions};
 use crate::cylinders::{assert_agree, assert_same};
-use crate::device::{Device, device, device_without_subgroups};
+use crate::device::{Device, device, device_of_a_host, device_without_subgroups};
 use crate::sections::{RADIUS_MM, seeded, wall};
 use lumenmesh::cylinders::{CpuEngine, Engine, Tube};
 use lumenmesh::low_level::cylinders::gpu::LANES;
@@ -232,7 +232,7 @@ fn measure_long_is_its_twins() {
 /// Whole fits whose faces several workgroups share, about the number of points from which they do.
 #[test]
 fn faces_of_very_many_points_are_shared_between_workgroups() {
-    let Some(device) = device() else { return };
+    let Some(device) = device_of_a_host() else { return };
     for points in [60 * 2048 - 1, 60 * 2048] {
         for (outliers, statistic) in all_rules() {
             let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);

@@ -24,6 +24,8 @@ pub struct FitWorkspace {
     parameters: FitParameters,
     iterations: u32,
     short: ShortFaces,
+    /// Whether faces have so many points that several workgroups share the distances of each.
+    shared_faces: bool,
     long_groups: u32,
     buffers: Buffers,
     /// Bind groups by pass, `update`'s by iteration.
@@ -37,6 +39,7 @@ pub struct FitWorkspace {
 pub(super) struct Plan {
     parameters: FitParameters,
     short: ShortFaces,
+    shared_faces: bool,
     travel_stride: u64,
     sizes: Vec<(&'static str, u64)>,
 }
@@ -76,7 +79,9 @@ impl Plan {
         let alignment = u64::from(context.device.limits().min_storage_buffer_offset_alignment);
         let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
         let sizes = sizes(&parameters, point_count, settings.iterations, history, travel_stride);
-        Ok(Self { parameters, short, travel_stride, sizes })
+        // A program on the CPU has no idle processors that could share them.
+        let shared_faces = short.lanes == 0 && slots >= SHARED_FACE * faces && !context.is_software();
+        Ok(Self { parameters, short, shared_faces, travel_stride, sizes })
     }
 }
 
@@ -215,7 +220,7 @@ impl FitWorkspace {
         settings: &Settings,
         kept: Option<Self>,
     ) -> Result<Self, GpuError> {
-        let Plan { parameters, short, travel_stride, sizes } = plan;
+        let Plan { parameters, short, shared_faces, travel_stride, sizes } = plan;
         let iterations = settings.iterations;
         let known = kept.as_ref().is_some_and(|kept| {
             kept.radii_mm == radii_mm && kept.parameters.node_count == parameters.node_count
@@ -232,6 +237,7 @@ impl FitWorkspace {
             parameters,
             iterations,
             short,
+            shared_faces,
             long_groups: long_groups(context, most_long(&parameters)) as u32,
             buffers,
             bind_groups,
@@ -326,12 +332,6 @@ impl FitWorkspace {
         [x, y, layers]
     }
 
-    /// Whether faces have so many points that several workgroups share the distances of each.
-    fn keyed(&self) -> bool {
-        let faces = u64::from(self.parameters.cylinders) * u64::from(self.parameters.faces);
-        self.short.lanes == 0 && u64::from(self.parameters.slots) >= SHARED_FACE * faces
-    }
-
     /// Whether a fit of this size needs a pass.
     fn needs(&self, pass: &Pass) -> bool {
         let several_blocks = self.parameters.cylinders * self.parameters.faces > 1024;
@@ -340,8 +340,8 @@ impl FitWorkspace {
             // The sum before the only block is 0, which its buffer holds.
             Items::SeveralBlocks | Items::Spine | Items::Tiles => several_blocks,
             Items::FewTiles => !several_blocks,
-            Items::LongFaces => !self.keyed(),
-            Items::Points | Items::KeyedFaces => self.keyed(),
+            Items::LongFaces => !self.shared_faces,
+            Items::Points | Items::KeyedFaces => self.shared_faces,
             Items::ShortFaces => self.short.lanes > 0 && self.short.subgroups,
             Items::ShortFacesShared => self.short.lanes > 0 && !self.short.subgroups,
             _ => true,
