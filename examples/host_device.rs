@@ -61,18 +61,18 @@ pub fn run(adapter: Option<&str>) -> Result<Compared, Box<dyn Error>> {
     engine.warm_up()?;
     let workspace = engine.prepare(POINTS, RADIUS_MM, &settings)?;
 
-    // 3. The host's points, resident on the device: r (mm), θ (rad), z (mm), f32 ×3 each. A shader of the host
-    //    would write them; here they come from memory.
+    // 3. The host's points, resident on the device: r (mm) of all, then θ (rad) of all, then z (mm), f32. A
+    // shader of
+    //    the host would write them; here they come from memory.
     let section = points();
-    let rows: Vec<[f32; 3]> =
-        (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
+    let coordinates = [&section.r[..], &section.theta, &section.z].concat();
     let resident = device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("the host's points"),
         size: 12 * u64::from(POINTS),
         usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
         mapped_at_creation: false,
     });
-    queue.write_buffer(&resident, 0, bytemuck::cast_slice(&rows));
+    queue.write_buffer(&resident, 0, bytemuck::cast_slice(&coordinates));
 
     // 4. One encoder of the host: its points go in, the engine's passes follow, the radii go out.
     let radii = workspace.radii();

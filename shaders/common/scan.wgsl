@@ -1,25 +1,37 @@
-// Inclusive prefix sums over a workgroup of 256 invocations, by doubling steps (Hillis and Steele, 1986).
-// Twin: numerics/scan.rs.
+// Inclusive prefix sums over a workgroup of 256 invocations: over sixteen runs of sixteen, then over the
+// runs. Few barriers, because each costs a software device as much as hundreds of operations. Twin:
+// numerics/scan.rs.
 
-var<workgroup> running: array<vec2u, 256>;
+var<workgroup> running: array<vec4u, 256>;
+var<workgroup> runs: array<vec4u, 16>;
 
-// Two prefix sums at once. All invocations must call it. The sums of all others stay in `running` afterwards;
+// Four prefix sums at once. All invocations must call it. The sums of all others stay in `running` afterwards;
 // an invocation that reads them puts a barrier before the next scan.
-fn inclusive_scan_of_two(own: vec2u, local: u32) -> vec2u {
+fn inclusive_scan_of_four(own: vec4u, local: u32) -> vec4u {
     running[local] = own;
     workgroupBarrier();
-    for (var step = 1u; step < 256u; step *= 2u) {
-        var left = vec2u(0u);
-        if (local >= step) {
-            left = running[local - step];
+    if (local < 16u) {
+        var sum = vec4u(0u);
+        for (var i = 16u * local; i < 16u * local + 16u; i++) {
+            sum += running[i];
         }
-        workgroupBarrier();
-        running[local] += left;
-        workgroupBarrier();
+        runs[local] = sum;
     }
-    return running[local];
+    workgroupBarrier();
+    let run = local / 16u;
+    var upto = vec4u(0u);
+    for (var i = 0u; i < run; i++) {
+        upto += runs[i];
+    }
+    for (var i = 16u * run; i <= local; i++) {
+        upto += running[i];
+    }
+    workgroupBarrier();
+    running[local] = upto;
+    workgroupBarrier();
+    return upto;
 }
 
 fn inclusive_scan(own: u32, local: u32) -> u32 {
-    return inclusive_scan_of_two(vec2u(own, 0u), local).x;
+    return inclusive_scan_of_four(vec4u(own, 0u, 0u, 0u), local).x;
 }

@@ -1,5 +1,8 @@
 // Distances and statistics of the faces with many points; a workgroup takes one face at a time. Order
-// statistics by selection on the keys, eight bits per round (radix select).
+// statistics by selection on the keys, up to four at once: the first 11 bits, then three times seven.
+
+// 1: the pass `distance` has written the keys.
+override KEYED: u32 = 0u;
 
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
@@ -7,29 +10,28 @@
 @group(0) @binding(3) var<storage, read> grouped: array<f32>;
 @group(0) @binding(4) var<storage, read> radii: array<f32>;
 @group(0) @binding(5) var<storage, read_write> statistics: array<TriangleStatistic>;
-// Their number, then the faces; the last word counts the faces that were measured to the end. Some drivers
-// end loops early without an error, and the host must not take such a face for a result.
+// Their number, the number of those that were measured to the end, then the faces. Some drivers end loops early
+// without an error, and the host must not take such a face for a result.
 @group(0) @binding(6) var<storage, read_write> long_faces: array<atomic<u32>>;
-// One key per point: within a face, keys of the bottom triangle from the front, of the top one from the back.
+// One key per point.
 @group(0) @binding(7) var<storage, read_write> keys: array<u32>;
 
 const THREADS: u32 = 256u;
 
+// 2048 bins of the first round, then 128 for each of four ranks.
+var<workgroup> histogram: array<atomic<u32>, 2048>;
+var<workgroup> chosen: vec4u;
+var<workgroup> rest: vec4u;
+// Of bottom and top: points, those below the bounds, those kept; and the fixed-point sums of the kept
+// distances and of their sizes, or first of all distances.
 var<workgroup> number: array<atomic<u32>, 2>;
-var<workgroup> histogram: array<array<atomic<u32>, 256>, 2>;
-var<workgroup> chosen: array<u32, 2>;
-var<workgroup> rest: array<u32, 2>;
-var<workgroup> below: atomic<u32>;
-var<workgroup> kept: atomic<u32>;
-var<workgroup> sum_low: array<atomic<u32>, 2>;
-var<workgroup> sum_high: array<atomic<u32>, 2>;
+var<workgroup> below: array<atomic<u32>, 2>;
+var<workgroup> kept: array<atomic<u32>, 2>;
+var<workgroup> sum_low: array<atomic<u32>, 4>;
+var<workgroup> sum_high: array<atomic<u32>, 4>;
 var<workgroup> shared_count: u32;
-// Keys of both triangles that the last loop has visited.
+// Keys that the last loop has visited.
 var<workgroup> seen: atomic<u32>;
-
-fn key_at(begin: u32, end: u32, half: u32, entry: u32) -> u32 {
-    return keys[select(begin + entry, end - 1u - entry, half == 1u)];
-}
 
 fn add_to_sum(which: u32, x: Wide) {
     let old = atomicAdd(&sum_low[which], x.low);
@@ -37,44 +39,153 @@ fn add_to_sum(which: u32, x: Wide) {
     atomicAdd(&sum_high[which], x.high + carry);
 }
 
-// Puts the keys at two ranks among the n keys of a triangle into `chosen`.
-fn select_two(begin: u32, end: u32, half: u32, n: u32, ranks: vec2u, local: u32) {
-    if (local < 2u) {
-        chosen[local] = 0u;
-        rest[local] = ranks[local];
+fn sum_of(which: u32) -> Wide {
+    return Wide(atomicLoad(&sum_low[which]), atomicLoad(&sum_high[which]));
+}
+
+// Counts a key for each of the ranks whose higher bits it has.
+fn count(key: u32, prefix: vec4u, shift: u32) {
+    let digit = (key >> shift) & 0x7fu;
+    let same = vec4u((key >> shift) >> 7u) == ((prefix >> vec4u(shift)) >> vec4u(7u));
+    for (var which = 0u; which < 4u; which++) {
+        if (same[which]) {
+            atomicAdd(&histogram[128u * which + digit], 1u);
+        }
     }
-    for (var round = 0u; round < 4u; round++) {
-        let shift = 24u - 8u * round;
-        atomicStore(&histogram[0][local], 0u);
-        atomicStore(&histogram[1][local], 0u);
+}
+
+// Puts the keys at four ranks among the keys of a face into `chosen`; what a rank beyond them gives is not
+// used.
+fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
+    for (var bin = local; bin < 2048u; bin += THREADS) {
+        atomicStore(&histogram[bin], 0u);
+    }
+    if (local == 0u) {
+        chosen = vec4u(0u);
+        rest = ranks;
+    }
+    workgroupBarrier();
+    for (var i = begin + local; i < end; i += THREADS) {
+        atomicAdd(&histogram[keys[i] >> 21u], 1u);
+    }
+    workgroupBarrier();
+    var own = 0u;
+    for (var bin = 8u * local; bin < 8u * local + 8u; bin++) {
+        own += atomicLoad(&histogram[bin]);
+    }
+    let before = inclusive_scan(own, local) - own;
+    for (var which = 0u; which < 4u; which++) {
+        let wanted = ranks[which];
+        if (before <= wanted && wanted < before + own) {
+            var bin = 8u * local;
+            var left = wanted - before;
+            for (; atomicLoad(&histogram[bin]) <= left; bin++) {
+                left -= atomicLoad(&histogram[bin]);
+            }
+            chosen[which] = bin << 21u;
+            rest[which] = left;
+        }
+    }
+    workgroupBarrier();
+    for (var round = 0u; round < 3u; round++) {
+        let shift = 14u - 7u * round;
+        atomicStore(&histogram[local], 0u);
+        atomicStore(&histogram[local + THREADS], 0u);
+        let prefix = chosen;
+        let wanted = rest;
         workgroupBarrier();
-        let prefix = vec2u(chosen[0], chosen[1]);
-        for (var entry = local; entry < n; entry += THREADS) {
-            let key = key_at(begin, end, half, entry);
-            let digit = (key >> shift) & 0xffu;
-            // The bits above the digit, by two shifts: one by 32 is not defined.
-            let above = (key >> shift) >> 8u;
-            if (above == (prefix.x >> shift) >> 8u) {
-                atomicAdd(&histogram[0][digit], 1u);
-            }
-            if (above == (prefix.y >> shift) >> 8u) {
-                atomicAdd(&histogram[1][digit], 1u);
-            }
+        for (var i = begin + local; i < end; i += THREADS) {
+            count(keys[i], prefix, shift);
         }
         workgroupBarrier();
-        let own = vec2u(atomicLoad(&histogram[0][local]), atomicLoad(&histogram[1][local]));
-        let upto = inclusive_scan_of_two(own, local);
-        let wanted = vec2u(rest[0], rest[1]);
-        workgroupBarrier();
-        for (var which = 0u; which < 2u; which++) {
-            let before = upto[which] - own[which];
-            if (before <= wanted[which] && wanted[which] < upto[which]) {
+        var counts = vec4u(0u);
+        if (local < 128u) {
+            for (var which = 0u; which < 4u; which++) {
+                counts[which] = atomicLoad(&histogram[128u * which + local]);
+            }
+        }
+        let upto = inclusive_scan_of_four(counts, local);
+        for (var which = 0u; which < 4u; which++) {
+            let smaller = upto[which] - counts[which];
+            if (smaller <= wanted[which] && wanted[which] < upto[which]) {
                 chosen[which] = prefix[which] | (local << shift);
-                rest[which] = wanted[which] - before;
+                rest[which] = wanted[which] - smaller;
             }
         }
         workgroupBarrier();
     }
+}
+
+// An invocation's share of the sums of the keys within bounds.
+struct Share {
+    kept: u32,
+    below: u32,
+    sum: Wide,
+    size: Wide,
+}
+
+const NO_SHARE: Share = Share(0u, 0u, Wide(0u, 0u), Wide(0u, 0u));
+
+fn plus(share: Share, d: f32, bounds: Bounds, scale: f32) -> Share {
+    if (d < bounds.low) {
+        return Share(share.kept, share.below + 1u, share.sum, share.size);
+    }
+    if (d <= bounds.high) {
+        let step = fixed(d, scale);
+        let sum = add_wide(share.sum, widen(step));
+        return Share(share.kept + 1u, share.below, sum, add_wide(share.size, widen(abs(step))));
+    }
+    return share;
+}
+
+fn add_share(half: u32, share: Share) {
+    atomicAdd(&kept[half], share.kept);
+    atomicAdd(&below[half], share.below);
+    add_to_sum(half, share.sum);
+    add_to_sum(2u + half, share.size);
+}
+
+// Sums the distances within bounds. All invocations must call it.
+fn sum_within(begin: u32, end: u32, bottom: Bounds, top: Bounds, rule: Cylinder, local: u32) {
+    if (local < 4u) {
+        atomicStore(&sum_low[local], 0u);
+        atomicStore(&sum_high[local], 0u);
+    }
+    if (local < 2u) {
+        atomicStore(&kept[local], 0u);
+        atomicStore(&below[local], 0u);
+    }
+    if (local == 0u) {
+        atomicStore(&seen, 0u);
+    }
+    workgroupBarrier();
+    var own = 0u;
+    var bottoms = NO_SHARE;
+    var tops = NO_SHARE;
+    for (var i = begin + local; i < end; i += THREADS) {
+        let key = keys[i];
+        let d = unpacked(key, rule.unit);
+        own += 1u;
+        if ((key >> 31u) == 0u) {
+            bottoms = plus(bottoms, d, bottom, rule.scale);
+        } else {
+            tops = plus(tops, d, top, rule.scale);
+        }
+    }
+    atomicAdd(&seen, own);
+    add_share(0u, bottoms);
+    add_share(1u, tops);
+    workgroupBarrier();
+}
+
+fn bounds_of(half: u32, n: u32, quartiles: vec2u, unit: f32) -> Bounds {
+    if (n < 2u || parameters.outliers == OUTLIERS_NONE) {
+        return EVERYTHING;
+    }
+    if (parameters.outliers == OUTLIERS_DEVIATION) {
+        return deviation(mean_of(sum_of(half), unit, n));
+    }
+    return box_plot(unpacked(quartiles.x, unit), unpacked(quartiles.y, unit));
 }
 
 @compute @workgroup_size(256)
@@ -88,7 +199,7 @@ fn main(
     }
     let long_count = workgroupUniformLoad(&shared_count);
     for (var index = workgroup_index(group, groups); index < long_count; index += groups.x * groups.y) {
-        let face_of_all = atomicLoad(&long_faces[index + 1u]);
+        let face_of_all = atomicLoad(&long_faces[index + 2u]);
         let cylinder = face_of_all / parameters.faces;
         let face = face_of_all % parameters.faces;
         let rule = cylinders[cylinder];
@@ -104,102 +215,54 @@ fn main(
         if (local < 2u) {
             atomicStore(&number[local], 0u);
         }
-        if (local == 0u) {
-            atomicStore(&seen, 0u);
-        }
         workgroupBarrier();
+        var own_number = vec2u(0u);
         for (var i = begin + local; i < end; i += THREADS) {
-            let p = vec3f(grouped[3u * i] - a, grouped[3u * i + 1u], grouped[3u * i + 2u]);
-            let nearer = distance_to_face(p, corners, parameters.step_theta, parameters.step_z);
-            let half = select(0u, 1u, nearer.top);
-            let entry = atomicAdd(&number[half], 1u);
-            keys[select(begin + entry, end - 1u - entry, nearer.top)] = key_of(nearer.distance);
+            if (KEYED == 0u) {
+                let p = vec3f(grouped[3u * i] - a, grouped[3u * i + 1u], grouped[3u * i + 2u]);
+                let nearer = distance_to_face(p, corners, parameters.step_theta, parameters.step_z);
+                keys[i] = packed_key(nearer.distance, nearer.top, rule.scale);
+            }
+            let top = keys[i] >> 31u;
+            own_number += vec2u(1u - top, top);
         }
+        atomicAdd(&number[0], own_number.x);
+        atomicAdd(&number[1], own_number.y);
         storageBarrier();
         workgroupBarrier();
 
-        for (var half = 0u; half < 2u; half++) {
-            if (local == 0u) {
-                shared_count = atomicLoad(&number[half]);
-            }
-            let n = workgroupUniformLoad(&shared_count);
-            if (local < 2u) {
-                atomicStore(&sum_low[local], 0u);
-                atomicStore(&sum_high[local], 0u);
-            }
-            if (local == 0u) {
-                atomicStore(&below, 0u);
-                atomicStore(&kept, 0u);
-            }
-            workgroupBarrier();
-
-            var bounds = EVERYTHING;
-            if (n >= 2u && parameters.outliers == OUTLIERS_IQR) {
-                select_two(begin, end, half, n, vec2u(first_quartile(n), third_quartile(n)), local);
-                bounds = box_plot(number_of(chosen[0]), number_of(chosen[1]));
-            }
-            if (n >= 2u && parameters.outliers == OUTLIERS_DEVIATION) {
-                var all = Wide(0u, 0u);
-                for (var entry = local; entry < n; entry += THREADS) {
-                    let d = number_of(key_at(begin, end, half, entry));
-                    all = add_wide(all, widen(fixed(d, rule.scale)));
-                }
-                add_to_sum(0u, all);
-                workgroupBarrier();
-                bounds = deviation(mean_of(Wide(atomicLoad(&sum_low[0]), atomicLoad(&sum_high[0])), rule.unit, n));
-                workgroupBarrier();
-                if (local == 0u) {
-                    atomicStore(&sum_low[0], 0u);
-                    atomicStore(&sum_high[0], 0u);
-                }
-                workgroupBarrier();
-            }
-
-            var own_seen = 0u;
-            var own_below = 0u;
-            var own_kept = 0u;
-            var own_sum = Wide(0u, 0u);
-            var own_size = Wide(0u, 0u);
-            for (var entry = local; entry < n; entry += THREADS) {
-                let d = number_of(key_at(begin, end, half, entry));
-                own_seen += 1u;
-                if (d < bounds.low) {
-                    own_below += 1u;
-                } else if (d <= bounds.high) {
-                    let step = fixed(d, rule.scale);
-                    own_kept += 1u;
-                    own_sum = add_wide(own_sum, widen(step));
-                    own_size = add_wide(own_size, widen(abs(step)));
-                }
-            }
-            atomicAdd(&seen, own_seen);
-            atomicAdd(&below, own_below);
-            atomicAdd(&kept, own_kept);
-            add_to_sum(0u, own_sum);
-            add_to_sum(1u, own_size);
-            workgroupBarrier();
-
-            var result = TriangleStatistic(0.0, atomicLoad(&kept), 0.0);
-            if (local == 0u) {
-                shared_count = result.kept;
-            }
-            let any = workgroupUniformLoad(&shared_count);
-            if (any > 0u) {
-                result.value = mean_of(Wide(atomicLoad(&sum_low[0]), atomicLoad(&sum_high[0])), rule.unit, any);
-                result.residual = mean_of(Wide(atomicLoad(&sum_low[1]), atomicLoad(&sum_high[1])), rule.unit, any);
+        let n = vec2u(atomicLoad(&number[0]), atomicLoad(&number[1]));
+        if (parameters.outliers == OUTLIERS_IQR) {
+            let first = vec2u(first_quartile(n.x), n.x + first_quartile(n.y));
+            let third = vec2u(third_quartile(n.x), n.x + third_quartile(n.y));
+            select_four(begin, end, vec4u(first.x, third.x, first.y, third.y), local);
+        }
+        if (parameters.outliers == OUTLIERS_DEVIATION) {
+            sum_within(begin, end, EVERYTHING, EVERYTHING, rule, local);
+        }
+        let bottom = bounds_of(0u, n.x, chosen.xy, rule.unit);
+        let top = bounds_of(1u, n.y, chosen.zw, rule.unit);
+        workgroupBarrier();
+        sum_within(begin, end, bottom, top, rule, local);
+        let count_kept = vec2u(atomicLoad(&kept[0]), atomicLoad(&kept[1]));
+        if (parameters.statistic == STATISTIC_MEDIAN) {
+            let x = atomicLoad(&below[0]) + median(count_kept.x);
+            let y = n.x + atomicLoad(&below[1]) + median(count_kept.y);
+            select_four(begin, end, vec4u(x, x, y, y), local);
+        }
+        if (local < 2u) {
+            var result = TriangleStatistic(0.0, count_kept[local], 0.0);
+            if (result.kept > 0u) {
+                result.value = mean_of(sum_of(local), rule.unit, result.kept);
+                result.residual = mean_of(sum_of(2u + local), rule.unit, result.kept);
                 if (parameters.statistic == STATISTIC_MEDIAN) {
-                    let wanted = atomicLoad(&below) + median(any);
-                    select_two(begin, end, half, n, vec2u(wanted, wanted), local);
-                    result.value = number_of(chosen[0]);
+                    result.value = unpacked(chosen[2u * local], rule.unit);
                 }
             }
-            if (local == 0u) {
-                statistics[(2u * cylinder + half) * parameters.faces + face] = result;
-            }
-            workgroupBarrier();
+            statistics[(2u * cylinder + local) * parameters.faces + face] = result;
         }
         if (local == 0u && atomicLoad(&seen) == end - begin) {
-            atomicAdd(&long_faces[arrayLength(&long_faces) - 1u], 1u);
+            atomicAdd(&long_faces[1], 1u);
         }
         workgroupBarrier();
     }

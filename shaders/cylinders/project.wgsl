@@ -23,7 +23,7 @@ struct Pair {
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> points: array<vec2f>;
 @group(0) @binding(3) var<storage, read> pairs: array<Pair>;
-// r (mm), θ (rad), z (mm) of each slot.
+// r (mm) of all slots, then θ (rad), then z (mm).
 @group(0) @binding(4) var<storage, read_write> section: array<f32>;
 // The cylinder of each slot, NONE where the point did not pass.
 @group(0) @binding(5) var<storage, read_write> owners: array<u32>;
@@ -54,9 +54,9 @@ fn main(
         outside += select(0u, 1u, within && !passes);
         let slot = pair.first_slot + i;
         owners[slot] = select(NONE, pair.cylinder, passes);
-        section[3u * slot] = r;
-        section[3u * slot + 1u] = angle(y, x);
-        section[3u * slot + 2u] = z;
+        section[slot] = r;
+        section[parameters.slots + slot] = angle(y, x);
+        section[2u * parameters.slots + slot] = z;
     }
     if (outside > 0u) {
         atomicAdd(&gated[pair.cylinder], outside);

@@ -1,6 +1,6 @@
 use super::print_json;
 use crate::Result;
-use crate::study::bench::{BenchRow, Case, Parity, SweepCase, SweepRow, Times, run, run_sweep};
+use crate::study::bench::{BenchRow, Case, EndToEnd, Parity, SweepCase, SweepRow, Times, run, run_sweep};
 use serde::Serialize;
 
 /// Measure how fast the engines are on this machine
@@ -32,6 +32,9 @@ pub(super) struct Arguments {
     /// Only the CPU
     #[arg(long)]
     no_device: bool,
+    /// Do not time the cylinders on the CPU, which computes what the device is compared with all the same
+    #[arg(long)]
+    no_cpu: bool,
     /// Adapter, by name or a part of it [default: the best; see lumenmesh devices]
     #[arg(long, value_name = "NAME")]
     adapter: Option<String>,
@@ -46,6 +49,7 @@ struct Output {
     threads: usize,
     adapter: Option<String>,
     copy_gb_per_s: Option<f64>,
+    pass_copy_gb_per_s: Option<f64>,
     cold_start_s: Option<f64>,
     rows: Vec<BenchRow>,
     sweeps: Vec<SweepRow>,
@@ -58,6 +62,7 @@ impl Arguments {
             threads: rayon::current_num_threads(),
             adapter: None,
             copy_gb_per_s: None,
+            pass_copy_gb_per_s: None,
             cold_start_s: None,
             rows: Vec::new(),
             sweeps: Vec::new(),
@@ -65,11 +70,11 @@ impl Arguments {
         #[cfg(feature = "gpu")]
         let device = self.device(&mut output)?;
         if !self.json {
-            match (&output.adapter, output.copy_gb_per_s, output.cold_start_s) {
-                (Some(adapter), Some(copy), Some(cold)) => {
+            match (&output.adapter, output.copy_gb_per_s, output.pass_copy_gb_per_s, output.cold_start_s) {
+                (Some(adapter), Some(copy), Some(pass), Some(cold)) => {
                     println!("device     {adapter}");
                     println!(
-                        "           {copy:.1} GB/s copying (read + written), {:.0} ms cold start",
+                        "           {copy:.1} GB/s copying (read + written), {pass:.1} by a pass; {:.0} ms cold start",
                         cold * 1e3
                     );
                 }
@@ -81,6 +86,7 @@ impl Arguments {
             let row = run(
                 case,
                 usize::from(self.repeats),
+                !self.no_cpu,
                 #[cfg(feature = "gpu")]
                 device.as_ref(),
             )?;
@@ -120,6 +126,7 @@ impl Arguments {
         let device = crate::study::bench::device::Device::new(self.adapter.as_deref())?;
         output.adapter = device.engine.describe().adapter;
         output.copy_gb_per_s = Some(device.copy_bytes_per_s * 1e-9);
+        output.pass_copy_gb_per_s = Some(device.pass_copy_bytes_per_s * 1e-9);
         output.cold_start_s = Some(device.cold_start_s);
         Ok(Some(device))
     }
@@ -148,19 +155,32 @@ fn print_sweep(row: &SweepRow) {
     println!("  cpu, fitting            {:>10.3} ms", row.cpu_ms);
     let Some(device) = &row.device else { return };
     println!("  device, fitting         {}", times(&device.fit));
+    print_end_to_end(&device.of_it);
     for pass in &device.passes {
         println!("      {:<20}{:>10.3} ms", pass.name, pass.ms);
     }
+}
+
+fn print_end_to_end(parts: &EndToEnd) {
+    println!("    of it: kept memory    {}", times(&parts.memory));
+    println!("           filling        {}", times(&parts.filling));
+    println!("           recording      {}", times(&parts.recording));
+    println!("           waiting        {}  {} times", times(&parts.waiting), parts.waits);
+    println!("           reading        {}", times(&parts.reading));
 }
 
 fn print_row(row: &BenchRow) {
     println!();
     println!("{}, 3 iterations", row.case);
     print_parity(&row.parity);
-    println!("  cpu, 1 thread           {}", times(&row.cpu.one_thread));
-    println!("  cpu, {} threads          {}", row.cpu.threads, times(&row.cpu.all_threads));
+    if let Some(cpu) = &row.cpu {
+        println!("  cpu, 1 thread           {}", times(&cpu.one_thread));
+        println!("  cpu, {} threads          {}", cpu.threads, times(&cpu.all_threads));
+    }
     let Some(device) = &row.device else { return };
     println!("  device, end to end      {}", times(&device.end_to_end));
+    print_end_to_end(&device.of_it);
+    println!("    making memory         {}", times(&device.making_memory));
     println!("    upload                {}", times(&device.upload));
     println!("    passes, resident      {}", times(&device.resident));
     println!("    radii back            {}", times(&device.readback));

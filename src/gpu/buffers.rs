@@ -61,6 +61,15 @@ impl Buffers {
         self.by_name.get(name)
     }
 
+    /// Whether they are of like size: large enough for these names and sizes, and not so large in all that
+    /// the memory is missed elsewhere.
+    pub(crate) fn suit(&self, sizes: &[(&'static str, u64)]) -> bool {
+        let needed: u64 = sizes.iter().map(|(_, size)| size).sum();
+        let large_enough =
+            |&(name, size): &(&str, u64)| self.find(name).is_some_and(|buffer| size <= buffer.size());
+        self.bytes <= (2 * needed).max(1 << 20) && sizes.iter().all(large_enough)
+    }
+
     /// Size of all of them, bytes.
     pub(crate) fn bytes(&self) -> u64 {
         self.bytes
@@ -73,14 +82,5 @@ impl std::ops::Index<&str> for Buffers {
     /// The buffer that was made under that name.
     fn index(&self, name: &str) -> &wgpu::Buffer {
         &self.by_name[name]
-    }
-}
-
-impl Context {
-    /// Writes to the beginning of a buffer.
-    pub(crate) fn write(&self, buffer: &wgpu::Buffer, bytes: &[u8]) {
-        if !bytes.is_empty() {
-            self.queue.write_buffer(buffer, 0, bytes);
-        }
     }
 }

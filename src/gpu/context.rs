@@ -1,8 +1,9 @@
 //! Adapters, devices, and calls whose errors come back as values.
 
 use super::GpuError;
+use super::transfers::Transfers;
 use serde::Serialize;
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
 /// A device's memory in use, and how often a submission goes over it.
@@ -88,19 +89,32 @@ impl AdapterDescription {
     }
 }
 
+/// Not GL: few of its drivers are tested with compute shaders.
+const BACKENDS: wgpu::Backends =
+    wgpu::Backends::VULKAN.union(wgpu::Backends::METAL).union(wgpu::Backends::DX12);
+
+/// The one instance of this process, from which every adapter and device of the crate comes.
+///
+/// It is never dropped: the last instance takes the driver's library with it, and where that happens on a
+/// thread other than the main one, NVIDIA's driver ends the process when the thread ends. A host with an
+/// instance of its own keeps it as long, or takes this one.
+pub fn instance() -> &'static wgpu::Instance {
+    static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
+    INSTANCE.get_or_init(|| {
+        wgpu::Instance::new(wgpu::InstanceDescriptor {
+            backends: BACKENDS,
+            ..wgpu::InstanceDescriptor::new_without_display_handle()
+        })
+    })
+}
+
 /// The adapters of this machine, best first. Engines take the first unless another is named.
 pub fn adapters() -> Vec<AdapterDescription> {
     enumerate().into_iter().map(|(description, _)| description).collect()
 }
 
 fn enumerate() -> Vec<(AdapterDescription, wgpu::Adapter)> {
-    // Not GL: few of its drivers are tested with compute shaders.
-    let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
-    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
-        backends,
-        ..wgpu::InstanceDescriptor::new_without_display_handle()
-    });
-    let mut found: Vec<_> = pollster::block_on(instance.enumerate_adapters(backends))
+    let mut found: Vec<_> = pollster::block_on(instance().enumerate_adapters(BACKENDS))
         .into_iter()
         .map(|adapter| (AdapterDescription::new(&adapter), adapter))
         .collect();
@@ -124,14 +138,14 @@ impl Requirements {
         Self { features: wgpu::Features::empty(), limits: wgpu::Limits::default() }
     }
 
-    /// The same with room for larger jobs: buffers and bindings as large as the adapter allows, and
-    /// timestamps of passes where it has them.
+    /// The same with all that the adapter can do for the engines: buffers and bindings as large as it allows,
+    /// and where it has them subgroups, which some passes are faster with, and timestamps of passes.
     #[must_use]
     pub fn with_all_room(mut self, adapter: &wgpu::Adapter) -> Self {
         let has = adapter.limits();
         self.limits.max_buffer_size = has.max_buffer_size;
         self.limits.max_storage_buffer_binding_size = has.max_storage_buffer_binding_size;
-        self.features |= adapter.features() & wgpu::Features::TIMESTAMP_QUERY;
+        self.features |= adapter.features() & (wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::SUBGROUP);
         self
     }
 
@@ -157,6 +171,35 @@ pub(crate) struct Context {
     pub(crate) adapter: Option<AdapterDescription>,
     /// The first error that a device of our own reported outside any call.
     report: Arc<Mutex<Option<String>>>,
+    pub(super) transfers: Transfers,
+}
+
+/// What the host's part and the waits of some work took, in seconds.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Spent {
+    /// Device memory: making it, or finding some that was kept.
+    pub(crate) memory_s: f64,
+    /// The input's way into host memory that the device copies from.
+    pub(crate) filling_s: f64,
+    /// Recording and submitting commands.
+    pub(crate) recording_s: f64,
+    /// From then until they were done, copies from and to host memory included.
+    pub(crate) waiting_s: f64,
+    /// Reading results from host memory that the device copied to.
+    pub(crate) reading_s: f64,
+    /// Submissions that were waited for.
+    pub(crate) waits: u32,
+}
+
+impl std::ops::AddAssign for Spent {
+    fn add_assign(&mut self, more: Self) {
+        self.memory_s += more.memory_s;
+        self.filling_s += more.filling_s;
+        self.recording_s += more.recording_s;
+        self.waiting_s += more.waiting_s;
+        self.reading_s += more.reading_s;
+        self.waits += more.waits;
+    }
 }
 
 impl Context {
@@ -189,12 +232,20 @@ impl Context {
         device.set_device_lost_callback(move |reason, message| note(format!("{reason:?}: {message}"), &lost));
         let uncaptured = Arc::clone(&report);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(error.to_string(), &uncaptured)));
-        Ok(Self { device, queue, adapter: Some(description), report })
+        Ok(Self { device, queue, adapter: Some(description), report, transfers: Transfers::default() })
     }
 
     /// On a host's device, whose error handlers stay the host's.
     pub(crate) fn of_host(device: wgpu::Device, queue: wgpu::Queue) -> Self {
-        Self { device, queue, adapter: None, report: Arc::default() }
+        Self { device, queue, adapter: None, report: Arc::default(), transfers: Transfers::default() }
+    }
+
+    /// The least number of invocations in a subgroup of the device, `None` where it was made without subgroups.
+    pub(crate) fn subgroup_width(&self) -> Option<u32> {
+        // Workgroups of 128 consist of full subgroups, whichever of these sizes a pass gets.
+        let of = self.device.adapter_info();
+        let usable = 4 <= of.subgroup_min_size && of.subgroup_max_size <= 128;
+        (self.device.features().contains(wgpu::Features::SUBGROUP) && usable).then_some(of.subgroup_min_size)
     }
 
     /// Whether the device is known to be a program on the CPU.
@@ -210,36 +261,39 @@ impl Context {
         }
     }
 
-    /// Submits what `record` records, waits for it, and reads some buffers back, whole.
-    pub(crate) fn run(
+    /// Submits what `record` records, waits for it, and lets `read` read that many bytes of each of some
+    /// buffers. Returns with its result what all took.
+    pub(crate) fn run_and_read<R>(
         &self,
         job: Job,
-        buffers: &[&wgpu::Buffer],
+        parts: &[(&wgpu::Buffer, u64)],
         record: impl FnOnce(&mut wgpu::CommandEncoder) -> Result<(), GpuError>,
-    ) -> Result<Vec<Vec<u8>>, GpuError> {
+        read: impl FnOnce(&[&[u8]]) -> R,
+    ) -> Result<(R, Spent), GpuError> {
         self.alive()?;
-        let device = &self.device;
-        let mut copies = Vec::new();
-        let submission = checked(device, "submission", || -> Result<_, GpuError> {
-            let mut encoder = device.create_command_encoder(&Default::default());
+        let start = Instant::now();
+        let mut places = Vec::with_capacity(parts.len());
+        let mut bytes = 0;
+        for &(_, size) in parts {
+            places.push(bytes as usize..(bytes + size) as usize);
+            bytes = (bytes + size).next_multiple_of(wgpu::MAP_ALIGNMENT);
+        }
+        let copy = if parts.is_empty() { None } else { Some(self.readback(bytes.max(wgpu::MAP_ALIGNMENT))?) };
+        let submission = checked(&self.device, "submission", || -> Result<_, GpuError> {
+            let mut encoder = self.device.create_command_encoder(&Default::default());
             record(&mut encoder)?;
-            for from in buffers {
-                let copy = device.create_buffer(&wgpu::BufferDescriptor {
-                    label: Some("readback"),
-                    size: from.size(),
-                    usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-                    mapped_at_creation: false,
-                });
-                encoder.copy_buffer_to_buffer(from, 0, &copy, 0, Some(from.size()));
-                copies.push(copy);
+            for (&(from, size), place) in parts.iter().zip(&places) {
+                if let (Some(copy), true) = (&copy, size > 0) {
+                    encoder.copy_buffer_to_buffer(from, 0, copy, place.start as u64, Some(size));
+                }
             }
             Ok(self.queue.submit([encoder.finish()]))
         })
         .map_err(|error| error.with_needed(job.bytes))??;
+        let recording_s = start.elapsed().as_secs_f64();
         let (sender, receiver) = mpsc::channel();
-        for copy in &copies {
-            let sender = sender.clone();
-            copy.slice(..).map_async(wgpu::MapMode::Read, move |mapped| {
+        if let Some(copy) = &copy {
+            copy.slice(..bytes.max(wgpu::MAP_ALIGNMENT)).map_async(wgpu::MapMode::Read, move |mapped| {
                 // The receiver is gone only where the wait below has failed already.
                 let _ = sender.send(mapped);
             });
@@ -247,23 +301,34 @@ impl Context {
         let limit = job.time_limit();
         let deadline = Instant::now() + limit;
         self.wait(submission, limit)?;
-        for _ in &copies {
-            // Where several threads use the device, another thread's wait may call our callbacks, a moment
+        let lost = |error: &dyn std::fmt::Display| GpuError::Lost { reason: error.to_string() };
+        if copy.is_some() {
+            // Where several threads use the device, another thread's wait may call our callback, a moment
             // after ours has returned.
             let left = deadline.saturating_duration_since(Instant::now()).max(CALLBACK_LIMIT);
             match receiver.recv_timeout(left) {
                 Ok(Ok(())) => {}
-                Ok(Err(error)) => return Err(GpuError::Lost { reason: error.to_string() }),
+                Ok(Err(error)) => return Err(lost(&error)),
                 Err(_) => return Err(self.timed_out(limit)),
             }
         }
-        copies
-            .iter()
-            .map(|copy| match copy.slice(..).get_mapped_range() {
-                Ok(view) => Ok(view.to_vec()),
-                Err(error) => Err(GpuError::Lost { reason: error.to_string() }),
-            })
-            .collect()
+        let waiting_s = start.elapsed().as_secs_f64() - recording_s;
+        let done = match copy {
+            None => read(&[]),
+            Some(copy) => {
+                let slice = copy.slice(..bytes.max(wgpu::MAP_ALIGNMENT));
+                let view = slice.get_mapped_range().map_err(|error| lost(&error))?;
+                let views: Vec<&[u8]> = places.into_iter().map(|place| &view[place]).collect();
+                let done = read(&views);
+                drop(views);
+                drop(view);
+                copy.unmap();
+                self.keep_readback(copy);
+                done
+            }
+        };
+        let reading_s = start.elapsed().as_secs_f64() - recording_s - waiting_s;
+        Ok((done, Spent { recording_s, waiting_s, reading_s, waits: 1, ..Spent::default() }))
     }
 
     /// Waits for a submission, at most so long.

@@ -8,12 +8,13 @@ mod context;
 mod error;
 mod runner;
 pub(crate) mod shader;
+mod transfers;
 
-pub use context::{AdapterDescription, Requirements, adapters};
+pub use context::{AdapterDescription, Requirements, adapters, instance};
 pub use error::GpuError;
 pub use runner::PassTimes;
 
 pub(crate) use buffers::Buffers;
-pub(crate) use context::{Context, Job, checked};
+pub(crate) use context::{Context, Job, Spent, checked};
 pub(crate) use runner::{ReadyPass, Runner, Timer, dispatch_size};
 pub(crate) use shader::{Access, Binding, Pass, Pipeline, Shader, constants};

@@ -1,7 +1,8 @@
 //! A pass table made ready on a device: what the engines of both methods share.
 
 use super::shader::Pass;
-use super::{AdapterDescription, Context, GpuError, Job, Pipeline, checked};
+use super::transfers::copied;
+use super::{AdapterDescription, Context, GpuError, Job, Pipeline, Shader, Spent, checked};
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -38,16 +39,18 @@ pub(crate) struct Runner<Stage: 'static, Items: 'static> {
     pub(crate) passes: Vec<ReadyPass<Stage, Items>>,
     /// Device time of each pass so far, in seconds; `None` while passes are not timed.
     times: Mutex<Option<BTreeMap<&'static str, f64>>>,
+    spent: Mutex<Spent>,
 }
 
 impl<Stage, Items> Runner<Stage, Items> {
-    /// Compiles every shader of a table.
+    /// Compiles every shader of a table that the device can run.
     pub(crate) fn new(context: Context, table: &'static [Pass<Stage, Items>]) -> Result<Self, GpuError> {
         let passes = table
             .iter()
+            .filter(|pass| !pass.shader.subgroups || context.subgroup_width().is_some())
             .map(|pass| Ok(ReadyPass { pass, pipeline: Pipeline::new(&context.device, &pass.shader)? }))
             .collect::<Result<_, GpuError>>()?;
-        Ok(Self { context, passes, times: Mutex::default() })
+        Ok(Self { context, passes, times: Mutex::default(), spent: Mutex::default() })
     }
 
     /// The adapter, where it was chosen here and not by a host.
@@ -60,9 +63,13 @@ impl<Stage, Items> Runner<Stage, Items> {
         self.adapter().map(|a| format!("{} ({}, {})", a.name, a.backend, a.driver))
     }
 
-    /// Builds every pipeline now rather than when it is first needed.
-    pub(crate) fn warm_up(&self) -> Result<(), GpuError> {
-        self.passes.iter().try_for_each(|ready| ready.pipeline.warm_up(&self.context.device))
+    /// Builds pipelines now rather than when they are first needed: all, or of passes with variants those
+    /// that are `used`, by the pass's shader and the variant's value.
+    pub(crate) fn warm_up(&self, used: impl Fn(&Shader, u32) -> bool) -> Result<(), GpuError> {
+        self.passes.iter().try_for_each(|ready| {
+            let used = |value| used(ready.pipeline.shader, value);
+            ready.pipeline.warm_up(&self.context.device, used)
+        })
     }
 
     /// A pass by its name.
@@ -93,8 +100,23 @@ impl<Stage, Items> Runner<Stage, Items> {
         buffers: &[&wgpu::Buffer],
         record: impl FnOnce(&mut wgpu::CommandEncoder, &mut Timer) -> Result<(), GpuError>,
     ) -> Result<Vec<Vec<u8>>, GpuError> {
+        let whole: Vec<_> = buffers.iter().map(|buffer| (*buffer, buffer.size())).collect();
+        self.run_and_read(job, &whole, record, |views| views.iter().map(|view| copied(view)).collect())
+    }
+
+    /// As [`Runner::run`], but lets `read` read that many bytes of each of some buffers.
+    pub(crate) fn run_and_read<R>(
+        &self,
+        job: Job,
+        parts: &[(&wgpu::Buffer, u64)],
+        record: impl FnOnce(&mut wgpu::CommandEncoder, &mut Timer) -> Result<(), GpuError>,
+        read: impl FnOnce(&[&[u8]]) -> R,
+    ) -> Result<R, GpuError> {
         if self.times().is_none() {
-            return self.context.run(job, buffers, |encoder| record(encoder, &mut |_| None));
+            let record = |encoder: &mut wgpu::CommandEncoder| record(encoder, &mut |_| None);
+            let (done, spent) = self.context.run_and_read(job, parts, record, read)?;
+            self.spend(spent);
+            return Ok(done);
         }
         let queries = self.context.device.create_query_set(&wgpu::QuerySetDescriptor {
             label: None,
@@ -108,7 +130,8 @@ impl<Stage, Items> Runner<Stage, Items> {
             mapped_at_creation: false,
         });
         let mut names = Vec::new();
-        let mut read = self.context.run(job, &[buffers, &[&resolved]].concat(), |encoder| {
+        let parts = [parts, &[(&resolved, resolved.size())]].concat();
+        let record = |encoder: &mut wgpu::CommandEncoder| {
             record(encoder, &mut |name| {
                 let first = 2 * names.len() as u32;
                 names.push(name);
@@ -126,16 +149,30 @@ impl<Stage, Items> Runner<Stage, Items> {
                 encoder.resolve_query_set(&queries, 0..2 * names.len() as u32, &resolved, 0);
             }
             Ok(())
-        })?;
-        let ticks: Vec<u64> =
-            read.pop().map(|bytes| bytemuck::pod_collect_to_vec(&bytes)).unwrap_or_default();
+        };
+        let read = |views: &[&[u8]]| match views.split_last() {
+            Some((ticks, views)) => (read(views), bytemuck::pod_collect_to_vec::<u8, u64>(ticks)),
+            None => (read(&[]), Vec::new()),
+        };
+        let ((done, ticks), spent) = self.context.run_and_read(job, &parts, record, read)?;
+        self.spend(spent);
         let period_s = f64::from(self.context.queue.get_timestamp_period()) * 1e-9;
         if let Some(times) = self.times().as_mut() {
             for (name, ticks) in names.into_iter().zip(ticks.chunks_exact(2)) {
                 *times.entry(name).or_default() += ticks[1].saturating_sub(ticks[0]) as f64 * period_s;
             }
         }
-        Ok(read)
+        Ok(done)
+    }
+
+    /// Adds to what the engine's work took.
+    pub(crate) fn spend(&self, more: Spent) {
+        *self.spent.lock().unwrap_or_else(PoisonError::into_inner) += more;
+    }
+
+    /// What the engine's work took since this was last asked.
+    pub(crate) fn take_spent(&self) -> Spent {
+        std::mem::take(&mut *self.spent.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Runs one pass alone on given buffer contents, and reads buffers back. `find` finds a buffer by its
@@ -160,7 +197,7 @@ impl<Stage, Items> Runner<Stage, Items> {
             inputs.iter().map(|(name, bytes)| Ok((find(name)?, *bytes))).collect::<Result<_, GpuError>>()?;
         let outputs = outputs.iter().map(|name| find(name)).collect::<Result<Vec<_>, _>>()?;
         let write = |buffer: &wgpu::Buffer, bytes: &[u8]| {
-            checked(&self.context.device, "input", || self.context.write(buffer, bytes))
+            checked(&self.context.device, "input", || self.context.write(buffer, bytes))?
         };
         let run = |poison: u8| {
             for buffer in &outputs {

@@ -47,6 +47,8 @@ pub struct Shader {
     pub constants: &'static [(&'static str, f64)],
     /// A pipeline constant and the values that the pass is built for, where there is one.
     pub variants: Option<(&'static str, &'static [u32])>,
+    /// Whether it needs subgroups: a device without them does not get the pass.
+    pub subgroups: bool,
 }
 
 /// A row of a pass table.
@@ -69,7 +71,7 @@ pub struct Pass<Stage, Items> {
 /// ```
 ///
 /// The fields at the end are those of [`Shader`] that most passes leave out: `preamble`, `constants`,
-/// `variants`.
+/// `variants`, `subgroups`.
 macro_rules! shader {
     ($folder:literal, $name:literal in $file:literal, $size:literal, [$($common:expr),* $(,)?],
      [$($variable:literal $(= $buffer:literal)?: $access:ident),* $(,)?],
@@ -110,6 +112,7 @@ impl Shader {
         workgroup_size: 1,
         constants: &[],
         variants: None,
+        subgroups: false,
     };
 
     /// The whole WGSL text.
@@ -214,10 +217,12 @@ impl Pipeline {
         Ok(cell.get_or_init(|| pipeline))
     }
 
-    /// Builds every variant.
-    pub(crate) fn warm_up(&self, device: &wgpu::Device) -> Result<(), GpuError> {
+    /// Builds every variant whose value is among those that are `used`.
+    pub(crate) fn warm_up(&self, device: &wgpu::Device, used: impl Fn(u32) -> bool) -> Result<(), GpuError> {
         for &value in self.shader.variants.map_or(&[0][..], |(_, values)| values) {
-            self.get(device, value)?;
+            if self.shader.variants.is_none() || used(value) {
+                self.get(device, value)?;
+            }
         }
         Ok(())
     }

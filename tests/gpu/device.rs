@@ -63,6 +63,24 @@ pub fn device() -> Option<&'static Device> {
     DEVICE.get_or_init(open).as_ref()
 }
 
+/// The same device without subgroups, once for all tests.
+pub fn device_without_subgroups() -> Option<&'static Device> {
+    static DEVICE: OnceLock<Option<Device>> = OnceLock::new();
+    let without = |device: Device| Device { engine: device.engine.without_subgroups(), ..device };
+    DEVICE.get_or_init(|| open().map(without)).as_ref()
+}
+
+/// The same device as a host's, once for all tests: the engine does not know that it is software, and takes the ways
+/// that are for real devices.
+pub fn device_of_a_host() -> Option<&'static Device> {
+    static DEVICE: OnceLock<Option<Device>> = OnceLock::new();
+    let of_host = |own: &Device| {
+        let (device, queue) = (own.engine.device().clone(), own.engine.queue().clone());
+        Device { engine: GpuEngine::on_device(device, queue).unwrap(), exact: own.exact }
+    };
+    DEVICE.get_or_init(|| device().map(of_host)).as_ref()
+}
+
 /// An engine of its own, for a test that does harm to its device.
 pub fn open() -> Option<Device> {
     let found = adapters();

@@ -1,13 +1,13 @@
-//! The passes that group points by face, `bin` to `classify`, against their twins.
+//! The passes that group points by face, `bin` to `scatter`, against their twins.
 
 use crate::compare::{Tolerance, integers, numbers, places};
-use crate::device::{Device, device};
-use crate::sections::{RADIUS_MM, rows, seeded, wall};
+use crate::device::{Device, device, device_of_a_host};
+use crate::sections::{RADIUS_MM, coordinates, seeded, wall};
 use lumenmesh::cylinders::Tube;
 use lumenmesh::cylinders::{FitRequest, Track};
 use lumenmesh::low_level::cylinders::group;
 use lumenmesh::low_level::cylinders::passes::{
-    Section, TubeGrid, bin, classify, scan_downsweep, scan_reduce, scan_spine,
+    Section, TubeGrid, bin, long_faces, scan_downsweep, scan_reduce, scan_spine,
 };
 use lumenmesh::settings::Settings;
 use rand::RngExt;
@@ -40,28 +40,27 @@ pub fn bins_and_scatters(device: &Device, section: &Section<f32>, settings: &Set
     let groups = group(section, &tube);
     let face_of_each = faces(section, &tube);
     let workspace = device.engine.prepare(section.len() as u32, RADIUS_MM, settings).unwrap();
-    let rows = rows(section);
-    let points = ("section", bytemuck::cast_slice(&rows));
+    let coordinates = coordinates(section);
+    let points = ("section", bytemuck::cast_slice(&coordinates));
     let none = vec![0_u32; tube.face_count()];
 
-    let [counted, placed] = device.run(
-        &workspace,
-        "bin",
-        &[points, ("counts", bytemuck::cast_slice(&none))],
-        ["counts", "places"],
-    );
+    let counts_of_none = ("counts", bytemuck::cast_slice(&none));
     if section.is_empty() {
+        let [counted] = device.run(&workspace, "bin", &[points, counts_of_none], ["counts"]);
         assert_eq!(counted.words, counted.before);
         return;
     }
-    integers(&counted, &counts(&groups.offsets)).unwrap();
-    places(&placed, &face_of_each, tube.face_count()).unwrap();
-
     // In the order of the points, as the twin places them.
-    let mut of_twin = none;
+    let mut of_twin = none.clone();
     let in_order = bin(section, None, &TubeGrid::new(&tube), &mut of_twin);
-    integers(&counted, &of_twin).unwrap();
     assert!(in_order.iter().map(|[face, _]| face).eq(&face_of_each));
+    assert_eq!(counts(&groups.offsets), of_twin);
+    let passes = if tube.face_count() <= 1024 { &["bin", "bin_few"][..] } else { &["bin"] };
+    for pass in passes {
+        let [counted, placed] = device.run(&workspace, pass, &[points, counts_of_none], ["counts", "places"]);
+        integers(&counted, &of_twin).unwrap();
+        places(&placed, &face_of_each, tube.face_count()).unwrap();
+    }
     let inputs = [
         points,
         ("places", bytemuck::cast_slice(&in_order)),
@@ -76,12 +75,23 @@ pub fn bins_and_scatters(device: &Device, section: &Section<f32>, settings: &Set
 #[test]
 fn bin_and_scatter_are_their_twin() {
     let Some(device) = device() else { return };
-    for (nodes, levels) in [(12, 5), (3, 1), (64, 48)] {
+    for (nodes, levels) in [(12, 5), (3, 1), (32, 32), (205, 5), (64, 48)] {
         for count in POINTS {
             let settings = Settings::default().with_nodes(nodes).with_levels(levels);
             bins_and_scatters(device, &wall(count, 17), &settings);
         }
     }
+}
+
+/// More points than one window of places has, window by window, and a last window that is not full.
+#[test]
+fn scatter_writes_window_by_window() {
+    let Some(device) = device_of_a_host() else { return };
+    let settings = Settings::default().with_nodes(64).with_levels(48);
+    let count = (2 << 21) + 1;
+    let workspace = device.engine.prepare(count, RADIUS_MM, &settings).unwrap();
+    assert_eq!(workspace.parameters().window, 1 << 21);
+    bins_and_scatters(device, &wall(count as usize, 241), &settings);
 }
 
 #[test]
@@ -103,15 +113,17 @@ fn bin_and_scatter_keep_cylinders_apart_and_leave_out_points_without_one() {
         .collect();
     let mut expected = vec![0_u32; 180];
     face_of_each.iter().filter(|&&f| f != NONE).for_each(|&f| expected[f as usize] += 1);
-    let rows = rows(&section);
+    let coordinates = coordinates(&section);
     let inputs = [
-        ("section", bytemuck::cast_slice(&rows)),
+        ("section", bytemuck::cast_slice(&coordinates)),
         ("owners", bytemuck::cast_slice(&owners)),
         ("counts", bytemuck::cast_slice(&[0_u32; 180])),
     ];
-    let [counted, placed] = device.run(workspace, "bin", &inputs, ["counts", "places"]);
-    integers(&counted, &expected).unwrap();
-    places(&placed, &face_of_each, 180).unwrap();
+    for pass in ["bin", "bin_few"] {
+        let [counted, placed] = device.run(workspace, pass, &inputs, ["counts", "places"]);
+        integers(&counted, &expected).unwrap();
+        places(&placed, &face_of_each, 180).unwrap();
+    }
     let mut of_twin = vec![0_u32; 180];
     let twin = bin(&section, Some(&owners), &TubeGrid::new(&tube), &mut of_twin);
     assert_eq!(of_twin, expected);
@@ -153,7 +165,11 @@ fn the_scan_is_a_running_sum() {
             *sum += count;
             Some(*sum)
         }));
-        let inputs = [counts_bytes, ("block_sums", bytemuck::cast_slice(&before))];
+        let inputs = [
+            counts_bytes,
+            ("block_sums", bytemuck::cast_slice(&before)),
+            ("long_faces", bytemuck::cast_slice(&[0_u32])),
+        ];
         let [found] = device.run(&workspace, "scan_downsweep", &inputs, ["offsets"]);
         integers(&found, &offsets).unwrap();
         assert_eq!(scan_downsweep(&counts, &before), offsets);
@@ -164,36 +180,32 @@ fn the_scan_is_a_running_sum() {
 fn long_faces_are_those_above_the_short_capacity() {
     let Some(device) = device() else { return };
     let mut rng = seeded(29);
-    for faces in [3_u32, 255, 256, 257, 1025] {
+    for faces in [3_u32, 255, 256, 257, 1023, 1024, 1025] {
         let settings = Settings::default().with_nodes(faces).with_levels(1);
-        let most = 32;
-        let mut offsets = vec![0_u32];
-        for face in 0..faces {
-            let count = match face % 5 {
+        // As many points a face as leave four lanes to a face, of whatever way.
+        let workspace = device.engine.prepare(15 * faces, RADIUS_MM, &settings).unwrap();
+        let most = workspace.parameters().max_short;
+        assert_eq!(most, 32);
+        let counts: Vec<u32> = (0..faces)
+            .map(|face| match face % 5 {
                 0 => most,
-                1 => most + 1,
+                1 if face % 2 == 1 => most + 1,
                 2 => 0,
                 _ => rng.random_range(0..5),
-            };
-            offsets.push(offsets[face as usize] + count);
-        }
-        let slots = 8 * faces;
-        let workspace =
-            device.engine.prepare(offsets[faces as usize].min(slots), RADIUS_MM, &settings).unwrap();
-        let max_short = workspace.parameters().max_short;
-        let expected: Vec<u32> =
-            (0..faces).filter(|&f| offsets[f as usize + 1] - offsets[f as usize] > max_short).collect();
-        assert_eq!(classify(&offsets, max_short), expected);
-        let inputs =
-            [("offsets", bytemuck::cast_slice(&offsets)), ("long_faces", bytemuck::cast_slice(&[0_u32]))];
-        let [mut found] = device.run(&workspace, "classify", &inputs, ["long_faces"]);
+            })
+            .collect();
+        let mut before = scan_reduce(&counts);
+        scan_spine(&mut before);
+        let expected = long_faces(&counts, most);
+        let inputs = [
+            ("counts", bytemuck::cast_slice(&counts)),
+            ("block_sums", bytemuck::cast_slice(&before)),
+            ("long_faces", bytemuck::cast_slice(&[0_u32, 7])),
+        ];
+        let [mut found] = device.run(&workspace, "scan_downsweep", &inputs, ["long_faces"]);
         let count = found.words[0] as usize;
-        found.words[1..=count].sort_unstable();
-        let listed: Vec<u32> = [&[expected.len() as u32], &expected[..]].concat();
-        if expected.is_empty() {
-            assert_eq!(count, 0);
-        } else {
-            integers(&found, &listed).unwrap();
-        }
+        // In any order; the word between is another pass's.
+        found.words[2..2 + count].sort_unstable();
+        integers(&found, &[&[expected.len() as u32, 7], &expected[..]].concat()).unwrap();
     }
 }

@@ -1,10 +1,11 @@
-//! The passes `measure_short` and `measure_long` against their twins.
+//! The passes `measure_short`, with subgroups and without, and `measure_long` against their twins.
 
 use crate::compare::{Entry, Tolerance, decisions, entries_alike};
-use crate::device::{Device, device};
+use crate::cylinders::{assert_agree, assert_same};
+use crate::device::{Device, device, device_of_a_host, device_without_subgroups};
 use crate::nudge::{Nudge, nudges};
-use crate::sections::{RADIUS_MM, seeded};
-use lumenmesh::cylinders::Tube;
+use crate::sections::{RADIUS_MM, seeded, wall};
+use lumenmesh::cylinders::{CpuEngine, Engine, Tube};
 use lumenmesh::low_level::cylinders::gpu::LANES;
 use lumenmesh::low_level::cylinders::passes::{
     Face, Filter, TriangleStatistic, TubeGrid, distance, measure_long, measure_short,
@@ -103,31 +104,39 @@ impl Faces {
         distances.map(|d| measure(&d, rule, &mut Vec::new()))
     }
 
-    /// Runs the pass that measures long faces or that which measures short ones: it writes those, all of
-    /// those, and no others.
-    fn agrees(&self, device: &Device, settings: &Settings, long: bool) {
+    /// Runs a pass that measures long faces or one that measures short ones: it writes those, all of those,
+    /// and no others.
+    fn agrees(&self, device: &Device, settings: &Settings, pass: &str) {
+        let long = pass.starts_with("measure_long");
         let count = self.points.len() as u32;
         let workspace = device.engine.prepare(count, RADIUS_MM, settings).unwrap();
         let max_short = workspace.parameters().max_short;
         let rule = Filter::new(settings, RADIUS_MM);
         let faces = self.tube.face_count();
         let mut expected = vec![None; 2 * faces];
-        let mut listed = vec![0_u32];
+        let mut listed = vec![0_u32, 0];
         for face in (0..faces).filter(|&f| (self.size(f) > max_short) == long) {
             for (half, s) in self.twin(face, &rule, long, None).into_iter().enumerate() {
                 expected[half * faces + face] = Some((s.value, s.kept, s.residual));
             }
             listed.push(face as u32);
         }
-        listed[0] = listed.len() as u32 - 1;
+        listed[0] = listed.len() as u32 - 2;
         let mut inputs = vec![
             ("offsets", bytemuck::cast_slice(&self.offsets)),
             ("grouped", bytemuck::cast_slice(&self.points)),
             ("radii", bytemuck::cast_slice(&self.radii)),
         ];
-        let pass = if long { "measure_long" } else { "measure_short" };
         if long {
             inputs.push(("long_faces", bytemuck::cast_slice(&listed)));
+        }
+        // The keys that `distance` writes are what measure_long would write itself.
+        let keys = (pass == "measure_long_keyed").then(|| {
+            let [keys] = device.run(&workspace, "distance", &inputs[..3], ["keys"]);
+            keys.words
+        });
+        if let Some(keys) = &keys {
+            inputs.push(("keys", bytemuck::cast_slice(keys)));
         }
         let [found] = device.run(&workspace, pass, &inputs, ["statistics"]);
         // A distance is some 60 operations on differences of a few mm; the fixed-point step and the mean add
@@ -151,24 +160,68 @@ fn all_rules() -> impl Iterator<Item = (Outliers, Statistic)> {
         .flat_map(|outliers| [Statistic::Mean, Statistic::Median].map(|statistic| (outliers, statistic)))
 }
 
+/// Mean numbers of points per face, for which the engine takes 1, 2, 4, 8, 16 and 32 lanes to a face.
+const MEANS: [u32; 6] = [2, 6, 15, 38, 86, 195];
+
+/// Sizes of 60 faces with that mean: about every boundary up to the capacity of a short face and one beyond
+/// it, which the pass must leave alone.
+fn sizes(mean: u32, capacity: u32, width: u32) -> Vec<u32> {
+    let boundaries = [0, 1, 2, 3, 4, 5, 7, 8, 9, 31, 32, 33, 127, 128, 129];
+    let own = [width - 1, width, width + 1, capacity - 1, capacity, capacity + 1];
+    let mut sizes: Vec<u32> = boundaries.into_iter().chain(own).filter(|&n| n <= capacity + 1).collect();
+    let (rest, faces) = (60 * mean - sizes.iter().sum::<u32>(), 60 - sizes.len() as u32);
+    sizes.extend((0..faces).map(|face| rest * (face + 1) / faces - rest * face / faces));
+    assert_eq!((sizes.len(), sizes.iter().sum::<u32>()), (60, 60 * mean));
+    sizes
+}
+
+/// An engine, a pass with which it measures short faces, and the lanes and mean points per face for which it
+/// does.
+type Way = (&'static Device, &'static str, Vec<(u32, u32)>);
+
+fn ways() -> Vec<Way> {
+    let mut ways = Vec::new();
+    let all = || LANES.into_iter().zip(MEANS);
+    if let Some(device) = device()
+        && let Some(width) = device.engine.subgroup_width()
+    {
+        ways.push((device, "measure_short", all().filter(|(lanes, _)| *lanes <= width).collect()));
+    }
+    if let Some(device) = device_without_subgroups() {
+        ways.push((device, "measure_short_shared", all().collect()));
+    }
+    ways
+}
+
 #[test]
 fn measure_short_is_its_twins_with_every_number_of_lanes() {
-    let Some(device) = device() else { return };
-    for lanes in LANES {
-        // About 1.7 times as many points per face as lanes, for which the engine chooses that number of lanes. Sizes up
-        // to the capacity and beyond it, which the pass must leave alone.
-        let capacity = 8 * lanes;
-        let mut sizes = vec![0, 1, 2, 3, 4, 5, 7, capacity - 1, capacity, capacity + 1];
-        sizes.resize(60, lanes * 3 / 2);
-        for pattern in PATTERNS {
-            for (outliers, statistic) in all_rules() {
-                let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
-                let faces = Faces::new(&settings, &sizes, pattern);
-                let count = faces.points.len() as u32;
-                let chosen =
-                    device.engine.prepare(count, RADIUS_MM, &settings).unwrap().parameters().max_short;
-                assert_eq!(chosen, capacity, "{lanes} lanes");
-                faces.agrees(device, &settings, false);
+    for (device, pass, lanes_and_means) in ways() {
+        for (lanes, mean) in lanes_and_means {
+            let sizes = sizes(mean, 8 * lanes, device.engine.subgroup_width().unwrap_or(8));
+            for pattern in PATTERNS {
+                for (outliers, statistic) in all_rules() {
+                    let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
+                    let faces = Faces::new(&settings, &sizes, pattern);
+                    let count = faces.points.len() as u32;
+                    let workspace = device.engine.prepare(count, RADIUS_MM, &settings).unwrap();
+                    assert_eq!(workspace.parameters().max_short, 8 * lanes);
+                    faces.agrees(device, &settings, pass);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn measure_short_takes_blocks_of_faces_that_do_not_fill_a_workgroup() {
+    for (device, pass, lanes_and_means) in ways() {
+        for (lanes, mean) in lanes_and_means {
+            // A workgroup has 128 / lanes faces.
+            let block = 128 / lanes;
+            for faces in [3.max(block - 1), 3.max(block), block + 1, 2 * block + 1] {
+                let settings = Settings::default().with_nodes(faces).with_levels(1);
+                let sizes: Vec<u32> = (0..faces).map(|face| mean / 2 + face % mean.max(2)).collect();
+                Faces::new(&settings, &sizes, Pattern::Random).agrees(device, &settings, pass);
             }
         }
     }
@@ -177,29 +230,51 @@ fn measure_short_is_its_twins_with_every_number_of_lanes() {
 #[test]
 fn measure_long_is_its_twins() {
     let Some(device) = device() else { return };
-    let mut sizes = vec![257, 256, 258, 511, 512, 513, 0, 1000, 4096, 65_537, 100_000];
+    let mut sizes = vec![257, 256, 258, 511, 512, 513, 0, 1, 2, 3, 1000, 4096, 65_537, 100_000];
     sizes.resize(60, 20);
     for pattern in PATTERNS {
         for (outliers, statistic) in all_rules() {
             let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
-            Faces::new(&settings, &sizes, pattern).agrees(device, &settings, true);
+            // So many points per face on average that none is a short one.
+            let faces = Faces::new(&settings, &sizes, pattern);
+            let count = faces.points.len() as u32;
+            let workspace = device.engine.prepare(count, RADIUS_MM, &settings).unwrap();
+            assert_eq!(workspace.parameters().max_short, 0);
+            faces.agrees(device, &settings, "measure_long");
+            faces.agrees(device, &settings, "measure_long_keyed");
+        }
+    }
+}
+
+/// Whole fits whose faces several workgroups share, about the number of points from which they do.
+#[test]
+fn faces_of_very_many_points_are_shared_between_workgroups() {
+    let Some(device) = device_of_a_host() else { return };
+    for points in [60 * 2048 - 1, 60 * 2048] {
+        for (outliers, statistic) in all_rules() {
+            let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
+            let section = wall(points, 239);
+            let found = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
+            let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
+            assert_agree(device, &found, &expected, &section, &settings);
         }
     }
 }
 
 #[test]
 fn measure_long_begins_right_above_each_short_capacity() {
-    let Some(device) = device() else { return };
-    for lanes in LANES {
-        let capacity = 8 * lanes;
-        let mut sizes = vec![capacity + 1, capacity, capacity + 2, 2 * capacity];
-        sizes.resize(60, lanes);
-        let settings = Settings::default();
-        let faces = Faces::new(&settings, &sizes, Pattern::Random);
-        let count = faces.points.len() as u32;
-        let chosen = device.engine.prepare(count, RADIUS_MM, &settings).unwrap().parameters().max_short;
-        assert_eq!(chosen, capacity, "{lanes} lanes");
-        faces.agrees(device, &settings, true);
+    for (device, _, lanes_and_means) in ways() {
+        for (lanes, mean) in lanes_and_means {
+            let capacity = 8 * lanes;
+            let mut sizes = vec![capacity + 1, capacity, capacity + 2, 2 * capacity];
+            let (rest, others) = (60 * mean - sizes.iter().sum::<u32>(), 56);
+            sizes.extend((0..others).map(|face| rest * (face + 1) / others - rest * face / others));
+            let settings = Settings::default();
+            let faces = Faces::new(&settings, &sizes, Pattern::Random);
+            let workspace = device.engine.prepare(60 * mean, RADIUS_MM, &settings).unwrap();
+            assert_eq!(workspace.parameters().max_short, capacity);
+            faces.agrees(device, &settings, "measure_long");
+        }
     }
 }
 
@@ -208,5 +283,23 @@ fn more_long_faces_than_workgroups_are_all_measured() {
     let Some(device) = device() else { return };
     // At most 1024 workgroups take the long faces in turn.
     let settings = Settings::default().with_nodes(50).with_levels(30);
-    Faces::new(&settings, &[300; 1500], Pattern::Random).agrees(device, &settings, true);
+    Faces::new(&settings, &[300; 1500], Pattern::Random).agrees(device, &settings, "measure_long");
+}
+
+#[test]
+fn whole_fits_are_the_same_with_subgroups_and_without() {
+    let (Some(with), Some(without)) = (device(), device_without_subgroups()) else { return };
+    for (nodes, levels, points) in [(64, 48, 6_000), (64, 48, 40_000), (12, 5, 2_000), (12, 5, 9_000)] {
+        for (outliers, statistic) in all_rules() {
+            let settings = Settings::default()
+                .with_nodes(nodes)
+                .with_levels(levels)
+                .with_outliers(outliers)
+                .with_statistic(statistic);
+            let section = wall(points, 233);
+            let fit =
+                |device: &Device| device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
+            assert_same(&fit(with), &fit(without));
+        }
+    }
 }

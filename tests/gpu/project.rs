@@ -104,7 +104,7 @@ fn agrees(
             .passed
             .iter()
             .filter(|&&slot| owners.words[slot] == expected.owners[slot])
-            .map(|slot| 3 * slot + component)
+            .map(|slot| component * expected.owners.len() + slot)
             .collect();
         let agreed: Vec<f32> = expected
             .passed

@@ -2,10 +2,10 @@
 
 use crate::cylinders::assert_same;
 use crate::device::{Device, device, say};
-use crate::sections::{RADIUS_MM, recording, rows, wall};
+use crate::sections::{RADIUS_MM, coordinates, recording, wall};
 use lumenmesh::cylinders::{Engine, FitRequest, Track, merged_frames};
 use lumenmesh::gpu::Requirements;
-use lumenmesh::low_level::cylinders::gpu::{FitWorkspace, GpuEngine, PASSES};
+use lumenmesh::low_level::cylinders::gpu::{FitWorkspace, GpuEngine};
 use lumenmesh::low_level::cylinders::passes::Section;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
@@ -46,7 +46,7 @@ fn radii<const N: usize>(
 }
 
 fn write(device: &Device, workspace: &FitWorkspace, section: &Section<f32>) {
-    device.engine.queue().write_buffer(workspace.section(), 0, bytemuck::cast_slice(&rows(section)));
+    device.engine.queue().write_buffer(workspace.section(), 0, bytemuck::cast_slice(&coordinates(section)));
 }
 
 #[test]
@@ -115,21 +115,24 @@ fn passes_are_timed_one_by_one_in_their_order() {
         device.engine.record_timed(&workspace, encoder, &mut timer).unwrap();
     });
     assert_eq!(found, device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube.radii_mm);
-    // The points of a single tube need no projection.
-    let names: Vec<&str> =
-        PASSES.iter().map(|pass| pass.shader.name).filter(|name| *name != "project").collect();
-    let iterated = &names[6..11];
-    assert_eq!((iterated[0], iterated[4]), ("measure_short", "update"));
-    assert_eq!(*timed.borrow(), [&names[..6], iterated, iterated, &["support"]].concat());
+    // The points of a single tube need no projection, and few faces no sums over blocks of them.
+    let short = match device.engine.subgroup_width() {
+        Some(8..) => "measure_short",
+        _ => "measure_short_shared",
+    };
+    let iterated = [short, "measure_long", "update"];
+    assert_eq!(
+        *timed.borrow(),
+        [&["bin_few", "scan_downsweep", "scatter"][..], &iterated, &iterated, &["support"]].concat()
+    );
 }
 
 #[test]
 fn a_device_with_little_room_takes_a_job_in_batches() {
     let Some(device) = device() else { return };
     let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
-    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
     let name = &device.engine.adapter().unwrap().name;
-    let adapter = pollster::block_on(instance.enumerate_adapters(backends))
+    let adapter = pollster::block_on(lumenmesh::gpu::instance().enumerate_adapters(backends))
         .into_iter()
         .find(|adapter| adapter.get_info().name == *name)
         .unwrap();

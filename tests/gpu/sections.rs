@@ -45,9 +45,9 @@ pub fn both(mut a: Section<f32>, b: &Section<f32>) -> Section<f32> {
     a
 }
 
-/// r, θ, z of each point in turn, as a device holds them.
-pub fn rows(section: &Section<f32>) -> Vec<[f32; 3]> {
-    (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect()
+/// r of all points, then θ, then z, as a device holds them.
+pub fn coordinates(section: &Section<f32>) -> Vec<f32> {
+    [&section.r[..], &section.theta, &section.z].concat()
 }
 
 /// A pullback through a wavy vessel: `frames` frames 0.4 mm apart with `rays` rays each and a cylinder model.

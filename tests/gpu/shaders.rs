@@ -26,8 +26,11 @@ fn module(pass: &Shader) -> Module {
     let source = pass.source();
     let module = naga::front::wgsl::parse_str(&source)
         .unwrap_or_else(|error| panic!("{}: {}", pass.name, error.emit_to_string(&source)));
-    // No capability beyond the standard's.
-    Validator::new(ValidationFlags::all(), Capabilities::empty())
+    // No capability beyond the standard's, but for passes that a device without subgroups does not get.
+    let capabilities = if pass.subgroups { Capabilities::SUBGROUP } else { Capabilities::empty() };
+    Validator::new(ValidationFlags::all(), capabilities)
+        .subgroup_stages(naga::valid::ShaderStages::COMPUTE)
+        .subgroup_operations(naga::valid::SubgroupOperationSet::all())
         .validate(&module)
         .unwrap_or_else(|error| panic!("{}: {}", pass.name, error.emit_to_string(&source)));
     module
@@ -97,8 +100,13 @@ const TWINS: [(&str, &str); 5] = [
 ];
 
 /// Shaders without a twin, and the reason.
-const WITHOUT_TWIN: [(&str, &str); 1] =
-    [("shaders/common/dispatch.wgsl", "it numbers workgroups, which the CPU does not have")];
+const WITHOUT_TWIN: [(&str, &str); 2] = [
+    ("shaders/common/dispatch.wgsl", "it numbers workgroups, which the CPU does not have"),
+    (
+        "shaders/cylinders/measure_short_shared.wgsl",
+        "it is measure_short where invocations exchange values otherwise",
+    ),
+];
 
 #[test]
 fn every_shader_file_has_a_twin_of_its_name() {
@@ -185,8 +193,14 @@ fn pipeline_constants_are_those_of_the_pass_table() {
         let given: BTreeSet<_> = pass.constants.iter().map(|(name, _)| *name).chain(variants).collect();
         assert_eq!(found, given, "{}", pass.name);
     }
-    let top = |name: &str| row(name).constants.to_vec();
-    assert_eq!((top("fill_bottom"), top("fill_top")), (vec![("TOP", 0.0)], vec![("TOP", 1.0)]));
+    for (pass, other, constant) in
+        [("bin", "bin_few", "FEW"), ("measure_long", "measure_long_keyed", "KEYED")]
+    {
+        assert_eq!(
+            (row(pass).constants, row(other).constants),
+            (&[(constant, 0.0)][..], &[(constant, 1.0)][..])
+        );
+    }
 }
 
 /// Size and the members' offsets of a structure.
@@ -205,7 +219,7 @@ macro_rules! fields {
 #[test]
 fn structures_have_the_same_layout() {
     let parameters = fields!(FitParameters: nodes, levels, faces, node_count, cylinders, slots, outliers, statistic,
-        half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, max_short, pairs);
+        half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, max_short, pairs, window);
     let cylinder = fields!(DeviceCylinder: gate_low, gate_high, scale, unit);
     let statistic = fields!(TriangleStatistic<f32>: value, kept, residual);
     for pass in fit() {
@@ -301,28 +315,28 @@ fn constants_are_those_of_rust() {
 
 #[test]
 fn a_short_face_has_room_for_all_its_points() {
-    let module = module(row("measure_short"));
-    let (_, lanes) = module.overrides.iter().next().unwrap();
-    assert_eq!(lanes.name.as_deref(), Some("LANES"));
-    assert!(LANES.contains(&literal(&module, lanes.init.unwrap())));
-    let length = |name: &str| {
-        let (_, variable) =
-            module.global_variables.iter().find(|(_, v)| v.name.as_deref() == Some(name)).unwrap();
-        match module.types[variable.ty].inner {
-            TypeInner::Array { size: naga::ArraySize::Constant(length), .. } => length.get(),
-            ref other => panic!("{name}: {other:?}"),
+    for name in ["measure_short", "measure_short_shared"] {
+        let module = module(row(name));
+        let (_, lanes) = module.overrides.iter().next().unwrap();
+        assert_eq!(lanes.name.as_deref(), Some("LANES"));
+        assert!(LANES.contains(&literal(&module, lanes.init.unwrap())));
+        let length = |name: &str| {
+            let (_, variable) =
+                module.global_variables.iter().find(|(_, v)| v.name.as_deref() == Some(name)).unwrap();
+            match module.types[variable.ty].inner {
+                TypeInner::Array { size: naga::ArraySize::Constant(length), .. } => length.get(),
+                ref other => panic!("{name}: {other:?}"),
+            }
+        };
+        assert_eq!(constant(&module, "THREADS"), row(name).workgroup_size);
+        for lanes in LANES {
+            let faces = row(name).workgroup_size / lanes;
+            let capacity = FitParameters::new(&Settings::default(), 1, 0, None, lanes).max_short;
+            // Eight keys an invocation.
+            assert_eq!(capacity, 8 * lanes);
+            assert!(length("keys") >= faces * capacity, "{lanes} lanes");
+            assert!(length("corners") >= faces && length("begins") >= faces && length("starts") > faces);
         }
-    };
-    for lanes in LANES {
-        let faces = row("measure_short").workgroup_size / lanes;
-        let capacity = FitParameters::new(&Settings::default(), 1, 0, None, lanes).max_short;
-        assert_eq!(capacity, 8 * lanes);
-        assert!(length("keys") >= 2 * faces * capacity, "{lanes} lanes");
-        for name in ["number", "first", "third", "below", "kept", "all_low", "sum_high", "abs_high"] {
-            assert!(length(name) >= 2 * faces, "{name} of {lanes} lanes");
-        }
+        assert_eq!(constant(&module, "EMPTY"), u32::MAX);
     }
-    // The rows that the shader lays out for itself.
-    assert!(row("measure_short").own_source.contains("let top_row = bottom_row + 8u * LANES;"));
-    assert_eq!(constant(&module, "EMPTY"), u32::MAX);
 }

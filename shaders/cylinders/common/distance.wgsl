@@ -1,5 +1,5 @@
 // Signed distance of a point to the nearer triangle of its face.
-// Twin: cylinders/fit/passes/distance.rs.
+// Twin: cylinders/passes/distance.rs.
 
 struct Face {
     b: f32,

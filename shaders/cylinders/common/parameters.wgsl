@@ -1,4 +1,4 @@
-// What every pass knows of the fit. Twin: cylinders/fit/passes/parameters.rs; a test compares the layouts.
+// What every pass knows of the fit. Twin: cylinders/passes/parameters.rs; a test compares the layouts.
 
 struct FitParameters {
     nodes: u32,
@@ -19,6 +19,8 @@ struct FitParameters {
     // Largest number of points of a short face.
     max_short: u32,
     pairs: u32,
+    // Places among the grouped points that are written at a time.
+    window: u32,
 }
 
 struct Cylinder {

@@ -4,7 +4,6 @@
 //! operations.
 
 mod bin;
-mod classify;
 mod distance;
 mod fill;
 mod filter;
@@ -20,14 +19,13 @@ mod support;
 mod update;
 
 pub use bin::bin;
-pub use classify::classify;
 pub use distance::{Face, distance};
 pub use fill::fill;
 pub use measure_long::measure_long;
 pub use measure_short::measure_short;
 pub use parameters::{DeviceCylinder, Filter, FitParameters, Gate, NONE, TriangleStatistic, TubeGrid};
 pub use project::{DevicePair, Section, TubeTransform, project};
-pub use scan_downsweep::scan_downsweep;
+pub use scan_downsweep::{long_faces, scan_downsweep};
 pub use scan_reduce::scan_reduce;
 pub use scan_spine::scan_spine;
 pub use scatter::scatter;

@@ -152,15 +152,19 @@ pub struct FitParameters {
     pub faces_per_mm: f32,
     /// 1 where every slot belongs to cylinder 0 and passed the gate.
     pub single: u32,
-    /// Largest number of points of a short face; a whole workgroup measures a face with more.
+    /// Largest number of points of a short face; a whole workgroup measures a face with more. 0: every face
+    /// with points is a long one.
     pub max_short: u32,
     /// Pairs of cylinder and frame.
     pub pairs: u32,
+    /// Places among the grouped points that `scatter` writes at a time.
+    pub window: u32,
 }
 
 impl FitParameters {
-    /// The parameters of a batch; `lanes` invocations measure a short face. Without `pairs` the batch is one tube, and
-    /// its points already are in tube coordinates.
+    /// The parameters of a batch; `lanes` invocations measure a short face, 0 where there are none. Without
+    /// `pairs` the batch is one tube, and its points already are in tube coordinates. `scatter` writes to all
+    /// places at a time.
     pub fn new(settings: &Settings, cylinders: u32, slots: u32, pairs: Option<u32>, lanes: u32) -> Self {
         let tube = Tube::new(settings);
         let grid = TubeGrid::<f32>::new(&tube);
@@ -188,6 +192,7 @@ impl FitParameters {
             single: u32::from(pairs.is_none()),
             max_short: 8 * lanes,
             pairs: pairs.unwrap_or(0),
+            window: slots.max(1),
         }
     }
 }

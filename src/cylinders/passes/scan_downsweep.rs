@@ -16,10 +16,21 @@ pub fn scan_downsweep(counts: &[u32], block_sums: &[u32]) -> Vec<u32> {
     offsets
 }
 
+/// The faces with more than `max_short` points, in ascending order; the device lists them in any order.
+pub fn long_faces(counts: &[u32], max_short: u32) -> Vec<u32> {
+    (0..).zip(counts).filter(|&(_, &count)| count > max_short).map(|(face, _)| face).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::cylinders::passes::{scan_reduce, scan_spine};
+
+    #[test]
+    fn a_face_is_long_only_above_the_bound() {
+        assert_eq!(long_faces(&[4, 5, 0, 4, 7], 4), [1, 4]);
+        assert!(long_faces(&[], 4).is_empty());
+    }
 
     #[test]
     fn the_three_steps_give_the_number_of_points_before_each_face() {

@@ -1,22 +1,28 @@
 //! Timing on a device.
 
-use super::{DeviceRow, PassRow, RADIUS_MM, Times};
+use super::{DeviceRow, EndToEnd, PassRow, RADIUS_MM, Times};
 use crate::Result;
 use crate::cylinders::Tube;
 use crate::cylinders::fit::gpu::{FitWorkspace, GpuEngine, PASSES};
 use crate::cylinders::fit::{Engine, group};
 use crate::cylinders::passes::Section;
-use crate::gpu::Job;
+use crate::gpu::shader::shader;
+use crate::gpu::{Job, Pipeline, Shader, dispatch_size};
 use crate::settings::Settings;
 use std::collections::BTreeMap;
+
+/// Copies a buffer.
+static COPY: Shader = shader!("bench", "copy", 256, [], ["source": Read, "destination": Write], {});
 
 /// A device to be timed.
 #[non_exhaustive]
 pub struct Device {
     /// The engine, its pipelines built.
     pub engine: GpuEngine,
-    /// Bytes read and written per second when the device copies a large buffer.
+    /// Bytes read and written per second when the device's copy command copies a large buffer.
     pub copy_bytes_per_s: f64,
+    /// The same when a pass copies it.
+    pub pass_copy_bytes_per_s: f64,
     /// Seconds to the first result: adapter, device, shaders, a small fit.
     pub cold_start_s: f64,
 }
@@ -33,32 +39,56 @@ impl Device {
         engine.fit_section(&small, RADIUS_MM, &Settings::default())?;
         let cold_start_s = start.elapsed().as_secs_f64();
         engine.warm_up()?;
-        let mut device = Self { engine, copy_bytes_per_s: 0.0, cold_start_s };
-        device.copy_bytes_per_s = device.measure_copy()?;
+        let mut device = Self { engine, copy_bytes_per_s: 0.0, pass_copy_bytes_per_s: 0.0, cold_start_s };
+        device.measure_copies()?;
         Ok(device)
     }
 
-    fn measure_copy(&self) -> Result<f64> {
+    /// Measures how fast the device copies a large buffer, by its copy command and by a pass.
+    fn measure_copies(&mut self) -> Result<()> {
         const BYTES: u64 = 256 << 20;
-        let size = BYTES.min(self.engine.device().limits().max_buffer_size);
+        const COPIES: u64 = 8;
+        let device = self.engine.device();
+        let limits = device.limits();
+        let size = BYTES.min(limits.max_buffer_size).min(limits.max_storage_buffer_binding_size);
         let buffer = |label| {
-            self.engine.device().create_buffer(&wgpu::BufferDescriptor {
+            use wgpu::BufferUsages as Usage;
+            device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some(label),
                 size,
-                usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+                usage: Usage::COPY_SRC | Usage::COPY_DST | Usage::STORAGE,
                 mapped_at_creation: false,
             })
         };
         let (from, to) = (buffer("from"), buffer("to"));
-        let copies = 8;
-        let times = Times::measure(5, || {
+        let pipeline = Pipeline::new(device, &COPY)?;
+        let bound = pipeline.bind(device, |name| match name {
+            "source" => from.as_entire_binding(),
+            _ => to.as_entire_binding(),
+        })?;
+        let compute = pipeline.get(device, 0)?;
+        let [x, y] = dispatch_size((size / 16).div_ceil(u64::from(COPY.workgroup_size)) as u32);
+        let per_second = |times: Times| 2.0 * (COPIES * size) as f64 / (times.min_ms * 1e-3);
+        let by_command = Times::measure_warm(5, || {
             self.submit(|encoder| {
-                for _ in 0..copies {
+                for _ in 0..COPIES {
                     encoder.copy_buffer_to_buffer(&from, 0, &to, 0, Some(size));
                 }
             })
         })?;
-        Ok(2.0 * (copies * size) as f64 / (times.min_ms * 1e-3))
+        let by_pass = Times::measure_warm(5, || {
+            self.submit(|encoder| {
+                let mut pass = encoder.begin_compute_pass(&Default::default());
+                pass.set_pipeline(compute);
+                pass.set_bind_group(0, &bound, &[]);
+                for _ in 0..COPIES {
+                    pass.dispatch_workgroups(x, y, 1);
+                }
+            })
+        })?;
+        self.copy_bytes_per_s = per_second(by_command);
+        self.pass_copy_bytes_per_s = per_second(by_pass);
+        Ok(())
     }
 
     /// Submits what is recorded and waits for it.
@@ -77,20 +107,29 @@ impl Device {
         repeats: usize,
     ) -> Result<DeviceRow> {
         let engine = &self.engine;
-        let end_to_end = Times::measure(repeats, || engine.fit_section(section, RADIUS_MM, settings))?;
-        let workspace = engine.prepare(section.len() as u32, RADIUS_MM, settings)?;
-        let rows: Vec<[f32; 3]> =
-            (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
-        let upload = Times::measure(repeats, || {
-            engine.queue().write_buffer(workspace.section(), 0, bytemuck::cast_slice(&rows));
+        let mut spent = Vec::new();
+        engine.runner().take_spent();
+        let end_to_end = Times::measure_warm(repeats, || {
+            let fit = engine.fit_section(section, RADIUS_MM, settings)?;
+            spent.push(engine.runner().take_spent());
+            Ok(fit)
+        })?;
+        let of_it = EndToEnd::of(&spent[spent.len().saturating_sub(repeats.max(1))..]);
+        let prepare = || engine.prepare(section.len() as u32, RADIUS_MM, settings);
+        let making_memory = Times::measure(repeats, prepare)?;
+        let workspace = prepare()?;
+        let upload = Times::measure_warm(repeats, || {
+            let coordinates = [&section.r, &section.theta, &section.z];
+            let parts = coordinates.map(|of_all| bytemuck::cast_slice(of_all));
+            engine.runner().context.write_parts(workspace.section(), &parts)?;
             self.submit(|_| ())
         })?;
-        let resident = Times::measure(repeats, || engine.run_resident(&workspace))?;
-        let readback = Times::measure(repeats, || {
+        let resident = Times::measure_warm(repeats, || engine.run_resident(&workspace))?;
+        let readback = Times::measure_warm(repeats, || {
             Ok(engine.runner().run(Job { bytes: 0, rounds: 1 }, &[workspace.radii()], |_, _| Ok(()))?)
         })?;
         let passes = self.time_passes(&workspace, section, settings, repeats)?;
-        Ok(DeviceRow { end_to_end, upload, resident, readback, passes })
+        Ok(DeviceRow { end_to_end, of_it, making_memory, upload, resident, readback, passes })
     }
 
     /// Device time of each pass over a fit.
@@ -114,7 +153,7 @@ impl Device {
             .filter_map(|pass| {
                 let (bytes, flops) = work.of_pass(pass.shader.name);
                 let median_ms = Times::of(samples.remove(pass.shader.name)?).median_ms;
-                let share = bytes as f64 / (median_ms * 1e-3) / self.copy_bytes_per_s;
+                let share = bytes as f64 / (median_ms * 1e-3) / self.pass_copy_bytes_per_s;
                 let row = PassRow {
                     name: pass.shader.name,
                     median_ms,
@@ -161,17 +200,18 @@ impl Work {
     fn of_pass(&self, pass: &str) -> (u64, u64) {
         let Self { points, short, long, faces, nodes, iterations } = *self;
         match pass {
-            "bin" => ((8 + 8) * points + 4 * faces, 0),
-            "scan_reduce" | "classify" => (4 * faces, 0),
+            "bin" | "bin_few" => ((8 + 8) * points + 4 * faces, 0),
+            "scan_reduce" => (4 * faces, 0),
             "scan_downsweep" => (8 * faces, 0),
             "scatter" => ((12 + 8 + 12) * points + 4 * faces, 0),
-            "measure_short" if short > 0 => {
+            "measure_short" | "measure_short_shared" if short > 0 => {
                 (iterations * (12 * short + (4 + 24) * faces + 4 * nodes), iterations * 250 * short)
             }
             // Keys are written once, and read in each of four rounds and for the sums.
-            "measure_long" => (iterations * (12 + 4 + 5 * 4) * long, iterations * 250 * long),
-            "fill_bottom" | "fill_top" => (iterations * (12 + 4) * faces, 0),
-            "update" => (iterations * (8 * faces + 8 * nodes), 0),
+            "measure_long" => (iterations * (12 + 4 + 6 * 4) * long, iterations * 250 * long),
+            "distance" => (iterations * (12 + 4) * points, iterations * 250 * points),
+            "measure_long_keyed" => (iterations * 6 * 4 * long, 0),
+            "update" => (iterations * (24 * faces + 8 * nodes), 0),
             "support" => (24 * faces + 8 * nodes, 0),
             _ => (0, 0),
         }

@@ -19,7 +19,10 @@ use rand::{RngExt, SeedableRng};
 use serde::Serialize;
 use std::fmt;
 use std::str::FromStr;
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+/// Work of that long precedes a timing on a device: a card raises its clock under load only.
+const WARM_UP: Duration = Duration::from_millis(500);
 
 /// The radius of the tube that is fitted, mm.
 const RADIUS_MM: f64 = 12.0;
@@ -141,6 +144,18 @@ impl Times {
         Self { median_ms: at(seconds.len() / 2), min_ms: at(0), max_ms: at(seconds.len().saturating_sub(1)) }
     }
 
+    /// Times some repeats of some work, after half a second of it.
+    ///
+    /// # Errors
+    /// The work's.
+    pub fn measure_warm<R>(repeats: usize, mut work: impl FnMut() -> Result<R>) -> Result<Self> {
+        let start = Instant::now();
+        while start.elapsed() < WARM_UP {
+            work()?;
+        }
+        Self::measure(repeats, work)
+    }
+
     /// Times some repeats of some work.
     ///
     /// # Errors
@@ -169,13 +184,18 @@ pub struct CpuRow {
     pub threads: usize,
 }
 
-/// Times of a case on the device.
+/// Times of a case on the device, each after half a second of the same work: a card that idles runs at a
+/// fraction of its clock.
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct DeviceRow {
-    /// From host slices to the tube.
+    /// From host slices to the tube, with an engine that has fitted as many points before.
     pub end_to_end: Times,
-    /// The points' transfer to the device.
+    /// Where that time went.
+    pub of_it: EndToEnd,
+    /// Making device memory for the case.
+    pub making_memory: Times,
+    /// The points' way to the device, until they are there.
     pub upload: Times,
     /// All passes, with the points on the device, until it is done.
     pub resident: Times,
@@ -183,6 +203,40 @@ pub struct DeviceRow {
     pub readback: Times,
     /// Each pass, timed on the device, as the sum over a fit; absent where the device has no timestamps.
     pub passes: Vec<PassRow>,
+}
+
+/// The parts of work from host slices to host slices, which add up to nearly all of it.
+#[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
+pub struct EndToEnd {
+    /// Device memory: making it, or finding some that was kept.
+    pub memory: Times,
+    /// The points' way into host memory that the device copies from.
+    pub filling: Times,
+    /// Recording and submitting commands.
+    pub recording: Times,
+    /// Waiting for the device: its copy of the points, all passes, its copy of the results.
+    pub waiting: Times,
+    /// Reading the results from host memory that the device copied to.
+    pub reading: Times,
+    /// Submissions that were waited for.
+    pub waits: u32,
+}
+
+#[cfg(feature = "gpu")]
+impl EndToEnd {
+    /// The parts of some repeats.
+    fn of(spent: &[crate::gpu::Spent]) -> Self {
+        let of = |part: fn(&crate::gpu::Spent) -> f64| Times::of(spent.iter().map(part).collect());
+        Self {
+            memory: of(|spent| spent.memory_s),
+            filling: of(|spent| spent.filling_s),
+            recording: of(|spent| spent.recording_s),
+            waiting: of(|spent| spent.waiting_s),
+            reading: of(|spent| spent.reading_s),
+            waits: spent.last().map_or(0, |spent| spent.waits),
+        }
+    }
 }
 
 /// A pass over a whole fit.
@@ -197,7 +251,7 @@ pub struct PassRow {
     pub bytes: u64,
     /// Floating-point operations in a fit: 250 for each distance; those of other passes are not counted.
     pub flops: u64,
-    /// Those bytes per second over the copy bandwidth measured in this process.
+    /// Those bytes per second over the bandwidth of a copying pass, measured in this process.
     pub share_of_copy_bandwidth: f64,
 }
 
@@ -207,8 +261,9 @@ pub struct PassRow {
 pub struct BenchRow {
     /// The case.
     pub case: Case,
-    /// On the CPU.
-    pub cpu: CpuRow,
+    /// On the CPU, unless it was not to be timed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cpu: Option<CpuRow>,
     /// On the device, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub device: Option<DeviceRow>,
@@ -280,19 +335,21 @@ impl Parity {
 }
 
 /// Times a case, after comparing the device with the CPU, or without a device the CPU with its f64 reference.
+/// `time_cpu` says whether the CPU is timed too; it always computes what the device is compared with.
 ///
 /// # Errors
 /// Where two engines disagree, or one fails. No time is taken then.
 pub fn run(
     case: Case,
     repeats: usize,
+    time_cpu: bool,
     #[cfg(feature = "gpu")] device: Option<&device::Device>,
 ) -> Result<BenchRow> {
     let settings = case.settings();
     settings.validate()?;
     let section = case.section(1);
-    let cpu = CpuEngine::<f32>::new();
-    let fit = || cpu.fit_section(&section, RADIUS_MM, &settings).map(|fit| fit.tube);
+    let engine = CpuEngine::<f32>::new();
+    let fit = || engine.fit_section(&section, RADIUS_MM, &settings).map(|fit| fit.tube);
     let expected = fit()?;
     #[cfg(feature = "gpu")]
     let (parity, device) = match device {
@@ -305,18 +362,17 @@ pub fn run(
     };
     #[cfg(not(feature = "gpu"))]
     let (parity, device) = (against_reference(&section, &settings, &expected)?, None);
-    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build();
-    let one = one.map_err(|e| Error::Setting {
-        name: "threads".into(),
-        found: e.to_string(),
-        expected: "1".into(),
-    })?;
-    let cpu_row = CpuRow {
-        one_thread: one.install(|| Times::measure(repeats, fit))?,
-        all_threads: Times::measure(repeats, fit)?,
-        threads: rayon::current_num_threads(),
-    };
-    Ok(BenchRow { case, cpu: cpu_row, device, parity })
+    let mut cpu = None;
+    if time_cpu {
+        let one = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+        let one = one.map_err(|e| Error::setting("threads", e, 1))?;
+        cpu = Some(CpuRow {
+            one_thread: one.install(|| Times::measure(repeats, fit))?,
+            all_threads: Times::measure(repeats, fit)?,
+            threads: rayon::current_num_threads(),
+        });
+    }
+    Ok(BenchRow { case, cpu, device, parity })
 }
 
 fn against_reference(section: &Section<f32>, settings: &Settings, found: &DeformedTube) -> Result<Parity> {

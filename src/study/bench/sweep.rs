@@ -103,8 +103,10 @@ pub struct SweepRow {
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct SweepDeviceRow {
-    /// The whole fit.
+    /// The whole fit, after half a second of it.
     pub fit: Times,
+    /// Where that time went; the rest is the host's own computation.
+    pub of_it: super::EndToEnd,
     /// The comparison of the walls before anything was timed.
     pub parity: Parity,
     /// Device time of each pass over a fit, ms; absent where the device has no timestamps.
@@ -145,12 +147,24 @@ pub fn run_sweep(
         engine.warm_up()?;
         let found = Sweep::on_device(&recording, &settings, engine)?;
         let parity = Parity::of(["cpu", "gpu"], &expected.radii_mm, &found.radii_mm)?;
-        let seconds = (0..repeats.max(1))
-            .map(|_| Ok(Sweep::on_device(&recording, &settings, engine)?.report.seconds.fit))
-            .collect::<Result<Vec<f64>>>()?;
+        let repeats = repeats.max(1);
+        let (mut seconds, mut spent) = (Vec::new(), Vec::new());
+        engine.take_spent();
+        // Warm as `Times::measure_warm` does; only the fit is timed, not the preparation.
+        let start = std::time::Instant::now();
+        while seconds.len() < repeats {
+            let cold = start.elapsed() < super::WARM_UP;
+            let fit_s = Sweep::on_device(&recording, &settings, engine)?.report.seconds.fit;
+            let parts = engine.take_spent();
+            if !cold {
+                seconds.push(fit_s);
+                spent.push(parts);
+            }
+        }
         let (_, passes) = engine.timed(|engine| Sweep::on_device(&recording, &settings, engine))?;
         let passes = passes.into_iter().map(|(name, seconds)| SweepPassRow { name, ms: seconds * 1e3 });
-        row.device = Some(SweepDeviceRow { fit: Times::of(seconds), parity, passes: passes.collect() });
+        let (fit, of_it) = (Times::of(seconds), super::EndToEnd::of(&spent));
+        row.device = Some(SweepDeviceRow { fit, of_it, parity, passes: passes.collect() });
     }
     #[cfg(not(feature = "gpu"))]
     let _ = (&mut row, repeats);

@@ -20,12 +20,15 @@ use super::{
 use crate::cylinders::passes::{DeviceCylinder, DevicePair, Section};
 use crate::cylinders::track::{NearFrame, empty_section};
 use crate::cylinders::tube::Tube;
-use crate::gpu::{AdapterDescription, Context, GpuError, Job, Runner, Timer};
+use crate::gpu::{AdapterDescription, Context, GpuError, Job, Runner, Spent, Timer};
+use crate::numerics::Scalar;
 use crate::settings::Settings;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::ops::Range;
-use workspace::Points;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+use workspace::{Plan, Points};
 
 /// A pass made ready on a device.
 type ReadyPass = crate::gpu::ReadyPass<Stage, Items>;
@@ -34,7 +37,15 @@ type ReadyPass = crate::gpu::ReadyPass<Stage, Items>;
 pub struct GpuEngine {
     runner: Runner<Stage, Items>,
     cpu_stages: CpuStages,
+    subgroups: bool,
+    /// Device memory of earlier fits, at most [`MOST_KEPT`] workspaces of [`MOST_KEPT_BYTES`] in all.
+    kept: Mutex<Vec<FitWorkspace>>,
 }
+
+/// Most workspaces that an engine keeps for later fits: one for each of a few threads.
+const MOST_KEPT: usize = 4;
+/// Most device memory that an engine keeps for later fits, bytes.
+const MOST_KEPT_BYTES: u64 = 1 << 30;
 
 impl GpuEngine {
     /// The engine on the adapter whose name contains `adapter` (without regard to case), or on the best one.
@@ -54,7 +65,12 @@ impl GpuEngine {
     }
 
     fn on(context: Context) -> Result<Self> {
-        Ok(Self { runner: Runner::new(context, &PASSES)?, cpu_stages: CpuStages::None })
+        Ok(Self {
+            runner: Runner::new(context, &PASSES)?,
+            cpu_stages: CpuStages::None,
+            subgroups: true,
+            kept: Mutex::default(),
+        })
     }
 
     /// The same engine, but [`fit`](Engine::fit) and [`fit_section`](Engine::fit_section) compute the first
@@ -64,6 +80,18 @@ impl GpuEngine {
     pub fn with_cpu_stages(mut self, stages: CpuStages) -> Self {
         self.cpu_stages = stages;
         self
+    }
+
+    /// The same engine, but where the device has subgroups they are not used. The results are the same, later.
+    #[must_use]
+    pub fn without_subgroups(mut self) -> Self {
+        self.subgroups = false;
+        self
+    }
+
+    /// The least number of invocations in a subgroup, where the device has subgroups and the engine uses them.
+    pub fn subgroup_width(&self) -> Option<u32> {
+        self.runner.context.subgroup_width().filter(|_| self.subgroups)
     }
 
     /// The adapter, where the engine chose it.
@@ -86,12 +114,14 @@ impl GpuEngine {
         &self.runner
     }
 
-    /// Builds every pipeline now rather than when it is first needed.
+    /// Builds every pipeline that the engine can use now rather than when it is first needed.
     ///
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses one.
     pub fn warm_up(&self) -> Result<()> {
-        Ok(self.runner.warm_up()?)
+        let width = self.subgroup_width();
+        let enough = |lanes| width.is_some_and(|width| lanes <= width);
+        Ok(self.runner.warm_up(|shader, lanes| shader.subgroups == enough(lanes))?)
     }
 
     /// Device memory for a tube of that radius and that many points, which the host writes to
@@ -103,14 +133,40 @@ impl GpuEngine {
         settings.validate()?;
         check_section(&Section::default(), radius_mm)?;
         let points = Points::Section { count: points };
-        Ok(FitWorkspace::new(
-            &self.runner.context,
-            &self.runner.passes,
-            settings,
-            &[radius_mm],
-            &points,
-            false,
-        )?)
+        let plan = Plan::new(&self.runner.context, settings, 1, &points, false, self.subgroups)?;
+        Ok(FitWorkspace::new(&self.runner.context, &self.runner.passes, plan, &[radius_mm], settings, None)?)
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Vec<FitWorkspace>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Device memory for a batch, from an earlier one of like size where there is some.
+    fn workspace(
+        &self,
+        settings: &Settings,
+        radii_mm: &[f64],
+        points: &Points,
+        history: bool,
+    ) -> Result<FitWorkspace, GpuError> {
+        let Runner { context, passes, .. } = &self.runner;
+        let cylinders = radii_mm.len() as u32;
+        let plan = Plan::new(context, settings, cylinders, points, history, self.subgroups)?;
+        let kept = {
+            let mut kept = self.kept();
+            let place = kept.iter().position(|kept| kept.suits(&plan, settings.iterations));
+            place.map(|place| kept.remove(place))
+        };
+        FitWorkspace::new(context, passes, plan, radii_mm, settings, kept)
+    }
+
+    /// Keeps the memory of a batch that is done, and drops the oldest where that is too much.
+    fn keep(&self, workspace: FitWorkspace) {
+        let mut kept = self.kept();
+        kept.push(workspace);
+        while kept.len() > MOST_KEPT || kept.iter().map(FitWorkspace::bytes).sum::<u64>() > MOST_KEPT_BYTES {
+            kept.remove(0);
+        }
     }
 
     /// Records the whole fit of a workspace into a command encoder. Nothing is submitted.
@@ -195,22 +251,11 @@ impl GpuEngine {
     /// [`Error::Gpu`](crate::Error::Gpu) where the device fails.
     pub(crate) fn run_resident(&self, workspace: &FitWorkspace) -> Result<()> {
         let Runner { context, passes, .. } = &self.runner;
-        self.run(workspace, &[], |encoder, timer| {
+        let job = Job { bytes: workspace.bytes(), rounds: u64::from(workspace.iterations()) + 1 };
+        self.runner.run(job, &[], |encoder, timer| {
             workspace.record(context, passes, encoder, CpuStages::None, false, timer)
         })?;
         Ok(())
-    }
-
-    /// Submits what `record` records and reads some of a workspace's buffers back, whole.
-    fn run(
-        &self,
-        workspace: &FitWorkspace,
-        names: &[&str],
-        record: impl FnOnce(&mut wgpu::CommandEncoder, &mut Timer) -> Result<(), GpuError>,
-    ) -> Result<Vec<Vec<u8>>, GpuError> {
-        let buffers: Vec<&wgpu::Buffer> = names.iter().map(|name| workspace.buffer(name)).collect();
-        let job = Job { bytes: workspace.bytes(), rounds: u64::from(workspace.iterations()) + 1 };
-        self.runner.run(job, &buffers, record)
     }
 
     /// Runs a workspace and reads its tubes back. With the sections of its cylinders, the CPU's stages run first.
@@ -222,78 +267,125 @@ impl GpuEngine {
         history: bool,
         sections: Option<&[Section<f32>]>,
     ) -> Result<Vec<DeformedTube>, GpuError> {
+        let Runner { context, passes, .. } = &self.runner;
         let done = match sections {
             None => CpuStages::None,
             Some(_) => self.cpu_stages.up_to(settings.iterations),
         };
         let progress = match sections {
             None => Vec::new(),
-            Some(sections) => stages::run_on_cpu(
-                &self.runner.context,
-                workspace,
-                done,
-                settings,
-                radii_mm,
-                history,
-                sections,
-            )?,
+            Some(sections) => {
+                stages::run_on_cpu(context, workspace, done, settings, radii_mm, history, sections)?
+            }
         };
-        let names = ["radii", "support", "residuals", "travels", "tallies", "gated", "long_faces", "history"];
-        let names = if history { &names[..] } else { &names[..7] };
-        let read = self.run(workspace, names, |encoder, timer| {
-            workspace.record(&self.runner.context, &self.runner.passes, encoder, done, history, timer)
-        })?;
-        let words = |k: usize| bytemuck::pod_collect_to_vec::<u8, u32>(&read[k]);
-        let numbers = |k: usize| bytemuck::pod_collect_to_vec::<u8, f32>(&read[k]);
-        let (radii, support, residuals) = (numbers(0), words(1), numbers(2));
-        let (travels, tallies, gated) = (words(3), words(4), words(5));
-        let history_radii = if history { numbers(7) } else { Vec::new() };
-        // Every long face must have been measured in every iteration of the device.
-        let long_faces = words(6);
-        let (listed, finished) = (long_faces[0], long_faces[long_faces.len() - 1]);
-        let expected = listed.wrapping_mul(settings.iterations - done.iterations());
-        if finished != expected {
-            return Err(GpuError::Unfinished { finished, expected });
-        }
         let tube = Tube::new(settings);
-        let (count, iterations) = (tube.node_count(), settings.iterations as usize);
-        let stride = workspace.travel_stride() as usize / 4;
-        let to_f64 = |r: &[f32]| r.iter().map(|&r| f64::from(r)).collect::<Vec<f64>>();
-        let mut tubes: Vec<DeformedTube> = radii_mm
-            .iter()
-            .enumerate()
-            .map(|(c, &radius_mm)| {
-                let nodes = c * count..(c + 1) * count;
-                let unit = DeviceCylinder::new(settings, radius_mm).unit;
-                let (kept, points) = (u64::from(tallies[2 * c]), u64::from(tallies[2 * c + 1]));
-                let travel = |i: usize| {
-                    let (low, high) = (travels[i * stride + 2 * c], travels[i * stride + 2 * c + 1]);
-                    let sum = i64::from(high) << 32 | i64::from(low);
-                    f64::from(<f32 as crate::numerics::Scalar>::mean_of(sum, unit, count as u32))
-                };
-                DeformedTube {
-                    tube,
-                    radius_mm,
-                    radii_mm: to_f64(&radii[nodes.clone()]),
-                    history_mm: if history {
-                        let all = radii_mm.len() * count;
-                        (0..=iterations).map(|i| to_f64(&history_radii[i * all..][nodes.clone()])).collect()
-                    } else {
-                        Vec::new()
-                    },
-                    travel_mm: (0..iterations).map(travel).collect(),
-                    support: support[nodes.clone()].to_vec(),
-                    residual_mm: residual_mm(&support[nodes.clone()], &residuals[nodes]),
-                    points,
-                    gated: u64::from(gated[c]),
-                    rejected: if iterations == 0 { 0 } else { points - kept },
+        let (count, iterations) = (tube.node_count(), u64::from(settings.iterations));
+        let cylinders = radii_mm.len() as u64;
+        let nodes = cylinders * count as u64;
+        let parts = [
+            ("radii", 4 * nodes),
+            ("support", 4 * nodes),
+            ("residuals", 4 * nodes),
+            ("travels", workspace.travel_stride() * iterations),
+            ("tallies", 8 * cylinders),
+            ("gated", 4 * cylinders),
+            ("long_faces", 8),
+            ("history", if history { 4 * nodes * (iterations + 1) } else { 0 }),
+        ];
+        let parts = parts.map(|(name, bytes)| (workspace.buffer(name), bytes));
+        let job = Job { bytes: workspace.bytes(), rounds: iterations + 1 };
+        let record = |encoder: &mut wgpu::CommandEncoder, timer: &mut Timer| {
+            workspace.record(context, passes, encoder, done, history, timer)
+        };
+        let read = |views: &[&[u8]]| {
+            // Every long face must have been measured in every iteration of the device.
+            let [listed, finished] = [0, 1].map(|i| bytemuck::cast_slice::<u8, u32>(views[6])[i]);
+            let expected = listed.wrapping_mul(settings.iterations - done.iterations());
+            match finished == expected {
+                true => {
+                    Ok(Results::new(views, count, workspace.travel_stride()).tubes(tube, settings, radii_mm))
                 }
-            })
-            .collect();
+                false => Err(GpuError::Unfinished { finished, expected }),
+            }
+        };
+        let mut tubes = self.runner.run_and_read(job, &parts, record, read)??;
         for (tube, progress) in tubes.iter_mut().zip(progress) {
             progress.copy_into(tube);
         }
         Ok(tubes)
+    }
+}
+
+/// The results of a batch in memory that the device wrote.
+struct Results<'a> {
+    radii: &'a [f32],
+    support: &'a [u32],
+    residuals: &'a [f32],
+    travels: &'a [u32],
+    tallies: &'a [u32],
+    gated: &'a [u32],
+    /// After each iteration those of all cylinders; empty unless asked for.
+    history: &'a [f32],
+    /// Nodes of a cylinder.
+    count: usize,
+    /// Words of `travels` per iteration.
+    stride: usize,
+}
+
+/// Nodes that one thread converts at a time.
+const PIECE: usize = 1 << 16;
+
+fn to_f64(radii: &[f32]) -> Vec<f64> {
+    radii.par_iter().with_min_len(PIECE).map(|&r| f64::from(r)).collect()
+}
+
+impl<'a> Results<'a> {
+    fn new(views: &[&'a [u8]], count: usize, travel_stride: u64) -> Self {
+        let (words, numbers) = (bytemuck::cast_slice::<u8, u32>, bytemuck::cast_slice::<u8, f32>);
+        Self {
+            radii: numbers(views[0]),
+            support: words(views[1]),
+            residuals: numbers(views[2]),
+            travels: words(views[3]),
+            tallies: words(views[4]),
+            gated: words(views[5]),
+            history: numbers(views[7]),
+            count,
+            stride: travel_stride as usize / 4,
+        }
+    }
+
+    fn tubes(&self, tube: Tube, settings: &Settings, radii_mm: &[f64]) -> Vec<DeformedTube> {
+        let of = |(cylinder, &radius_mm): (usize, &f64)| self.tube(cylinder, tube, settings, radius_mm);
+        radii_mm.par_iter().enumerate().map(of).collect()
+    }
+
+    fn tube(&self, cylinder: usize, tube: Tube, settings: &Settings, radius_mm: f64) -> DeformedTube {
+        let nodes = cylinder * self.count..(cylinder + 1) * self.count;
+        let unit = DeviceCylinder::new(settings, radius_mm).unit;
+        let [kept, points] = [0, 1].map(|i| u64::from(self.tallies[2 * cylinder + i]));
+        let travel = |of_iteration: &[u32]| {
+            let sum = i64::from(of_iteration[2 * cylinder + 1]) << 32 | i64::from(of_iteration[2 * cylinder]);
+            f64::from(<f32 as Scalar>::mean_of(sum, unit, self.count as u32))
+        };
+        let (support, residuals) = (&self.support[nodes.clone()], &self.residuals[nodes.clone()]);
+        let residuals = support.par_chunks(PIECE).zip(residuals.par_chunks(PIECE));
+        DeformedTube {
+            tube,
+            radius_mm,
+            radii_mm: to_f64(&self.radii[nodes.clone()]),
+            history_mm: self
+                .history
+                .chunks(self.radii.len().max(1))
+                .map(|of_iteration| to_f64(&of_iteration[nodes.clone()]))
+                .collect(),
+            travel_mm: self.travels.chunks(self.stride).map(travel).collect(),
+            support: support.to_vec(),
+            residual_mm: residuals.flat_map_iter(|(n, r)| residual_mm(n, r)).collect(),
+            points,
+            gated: u64::from(self.gated[cylinder]),
+            rejected: if settings.iterations == 0 { 0 } else { points - kept },
+        }
     }
 }
 
@@ -403,13 +495,14 @@ impl GpuEngine {
     }
 
     fn workspace_of(&self, request: &FitRequest, batch: &Batch) -> Result<FitWorkspace> {
-        let points: Vec<[f32; 2]> = request.track.echoes_mm()[batch.points.clone()]
-            .iter()
-            .map(|p| [p.x as f32, p.y as f32])
-            .collect();
-        let points = Points::Pairs { points: &points, pairs: &batch.pairs };
-        let (context, passes) = (&self.runner.context, &self.runner.passes);
-        Ok(FitWorkspace::new(context, passes, request.settings, &batch.radii_mm, &points, request.history)?)
+        let to_f32 = |p: &glam::DVec2| [p.x as f32, p.y as f32];
+        let echoes = &request.track.echoes_mm()[batch.points.clone()];
+        let points: Vec<[f32; 2]> = echoes.par_iter().with_min_len(PIECE).map(to_f32).collect();
+        let of_batch = Points::Pairs { points: points.len(), pairs: &batch.pairs };
+        let workspace = self.workspace(request.settings, &batch.radii_mm, &of_batch, request.history)?;
+        workspace.write(&self.runner.context, "points", bytemuck::cast_slice(&points))?;
+        workspace.write(&self.runner.context, "pairs", bytemuck::cast_slice(&batch.pairs))?;
+        Ok(workspace)
     }
 
     /// The sections of a batch's cylinders, from the CPU.
@@ -425,6 +518,7 @@ impl GpuEngine {
         };
         let (settings, radii_mm) = (request.settings, &batch.radii_mm);
         let tubes = self.tubes(&workspace, settings, radii_mm, request.history, sections.as_deref())?;
+        self.keep(workspace);
         let fitted = tubes.into_iter().zip(&batch.frames).map(|(tube, &frame)| {
             if tube.points == 0 {
                 return Err(empty_section(frame, tube.radius_mm, tube.gated, request.settings));
@@ -466,12 +560,18 @@ impl Engine for GpuEngine {
             needed: 12 * section.len() as u64,
             allowed: 12 * u64::from(u32::MAX),
         })?;
-        let workspace = self.prepare(count, radius_mm, settings)?;
-        let rows: Vec<[f32; 3]> =
-            (0..section.len()).map(|i| [section.r[i], section.theta[i], section.z[i]]).collect();
-        workspace.write(&self.runner.context, "section", bytemuck::cast_slice(&rows));
+        settings.validate()?;
+        let start = Instant::now();
+        let points = Points::Section { count };
+        let workspace = self.workspace(settings, &[radius_mm], &points, false)?;
+        let memory_s = start.elapsed().as_secs_f64();
+        let coordinates = [&section.r, &section.theta, &section.z].map(|of_all| bytemuck::cast_slice(of_all));
+        self.runner.context.write_parts(workspace.section(), &coordinates)?;
+        let filling_s = start.elapsed().as_secs_f64() - memory_s;
+        self.runner.spend(Spent { memory_s, filling_s, ..Spent::default() });
         let sections = (self.cpu_stages != CpuStages::None).then(|| std::slice::from_ref(section));
         let mut tubes = self.tubes(&workspace, settings, &[radius_mm], false, sections)?;
+        self.keep(workspace);
         let Some(mut tube) = tubes.pop() else {
             return Err(GpuError::Lost { reason: "no result".into() }.into());
         };

@@ -9,10 +9,8 @@ use crate::numerics::ANGLE_COEFFICIENTS;
 pub enum Stage {
     /// Once, to transform points into tube coordinates.
     Project,
-    /// Once, to group them by face.
+    /// Once, to group them by face and to find the long faces.
     Group,
-    /// Once, to find the long faces.
-    Classify,
     /// In every iteration.
     Iterate,
     /// Once, after the last iteration.
@@ -24,20 +22,31 @@ pub enum Stage {
 pub enum Items {
     /// One workgroup per pair of cylinder and frame.
     Pairs,
-    /// One invocation per point before the gate.
+    /// One workgroup per 1024 points before the gate, where there are more than 1024 faces in the batch.
+    Tiles,
+    /// One workgroup per 1024 points before the gate, where there are not.
+    FewTiles,
+    /// One invocation per point before the gate, window of places by window.
     Slots,
+    /// One workgroup per 1024 faces of the batch; not needed where there is only one.
+    SeveralBlocks,
+    /// One workgroup; not needed where there is only one block of 1024 faces.
+    Spine,
     /// One workgroup per 1024 faces of the batch.
     Blocks,
-    /// One workgroup.
-    One,
-    /// One invocation per face of the batch.
-    AllFaces,
-    /// [`LANES`] invocations per face, cylinder by cylinder.
+    /// [`LANES`] invocations per face, cylinder by cylinder, with subgroups.
     ShortFaces,
-    /// Workgroups that take the long faces in turn.
+    /// The same without subgroups.
+    ShortFacesShared,
+    /// Workgroups that take the long faces in turn, where they have not so many points that `distance` comes
+    /// first.
     LongFaces,
-    /// One invocation per face, cylinder by cylinder.
-    Faces,
+    /// One invocation per point, where every face is a long one with very many points.
+    Points,
+    /// Workgroups that take the long faces in turn after `distance`.
+    KeyedFaces,
+    /// Workgroups that take strips of rings in turn, cylinder by cylinder.
+    Strips,
     /// One invocation per node, cylinder by cylinder.
     Nodes,
 }
@@ -51,6 +60,8 @@ const SCALAR: &str = include_str!("../../../../shaders/common/scalar.wgsl");
 const SCAN: &str = include_str!("../../../../shaders/common/scan.wgsl");
 const PARAMETERS: &str = include_str!("../../../../shaders/cylinders/common/parameters.wgsl");
 const DISTANCE: &str = include_str!("../../../../shaders/cylinders/common/distance.wgsl");
+const FILL: &str = include_str!("../../../../shaders/cylinders/common/fill.wgsl");
+const MEASURE_SHORT: &str = include_str!("../../../../shaders/cylinders/common/measure_short.wgsl");
 const FILTER: &str = include_str!("../../../../shaders/cylinders/common/filter.wgsl");
 
 /// A row: name and, where it differs, `in` the file's; stage, items, workgroup size, common files, bindings (a
@@ -73,45 +84,56 @@ macro_rules! pass {
 }
 
 /// Every pass, in the order in which they run.
-pub static PASSES: [Pass; 13] = [
+pub static PASSES: [Pass; 14] = [
     pass!("project", Project, Pairs, 64, [DISPATCH, ANGLE], [
         "cylinders": Read, "points": Read, "pairs": Read, "section": Write, "owners": Write, "gated": Write,
     ], { preamble: angle_constants }),
-    pass!("bin", Group, Slots, 256, [DISPATCH], [
+    pass!("bin", Group, Tiles, 256, [DISPATCH], [
         "section": Read, "owners": Read, "counts": Write, "places": Write,
-    ]),
-    pass!("scan_reduce", Group, Blocks, 256, [DISPATCH], ["counts": Read, "block_sums": Write]),
-    pass!("scan_spine", Group, One, 256, [SCAN], ["block_sums": Write]),
+    ], { constants: &[("FEW", 0.0)] }),
+    pass!("bin_few" in "bin", Group, FewTiles, 256, [DISPATCH], [
+        "section": Read, "owners": Read, "counts": Write, "places": Write,
+    ], { constants: &[("FEW", 1.0)] }),
+    pass!("scan_reduce", Group, SeveralBlocks, 256, [DISPATCH], ["counts": Read, "block_sums": Write]),
+    pass!("scan_spine", Group, Spine, 256, [SCAN], ["block_sums": Write]),
     pass!("scan_downsweep", Group, Blocks, 256, [DISPATCH, SCAN], [
-        "counts": Read, "block_sums": Read, "offsets": Write,
+        "counts": Read, "block_sums": Read, "offsets": Write, "long_faces": Write,
     ]),
     pass!("scatter", Group, Slots, 256, [DISPATCH], [
         "section": Read, "places": Read, "offsets": Read, "grouped": Write,
     ]),
-    pass!("classify", Classify, AllFaces, 256, [DISPATCH], ["offsets": Read, "long_faces": Write]),
-    pass!("measure_short", Iterate, ShortFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER], [
+    pass!("measure_short", Iterate, ShortFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT], [
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
+    ], { variants: Some(("LANES", &LANES)), subgroups: true }),
+    pass!("measure_short_shared", Iterate, ShortFacesShared, 128, [
+        DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
+    ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
     ], { variants: Some(("LANES", &LANES)) }),
     pass!("measure_long", Iterate, LongFaces, 256, [DISPATCH, DISTANCE, SCALAR, SCAN, FILTER], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
         "long_faces": Write, "keys": Write,
+    ], { constants: &[("KEYED", 0.0)] }),
+    pass!("distance", Iterate, Points, 256, [DISPATCH, DISTANCE, FILTER], [
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "keys": Write,
     ]),
-    pass!("fill_bottom" in "fill", Iterate, Faces, 64, [DISPATCH], [
-        "statistics": Read, "values": Write,
-    ], { constants: &[("TOP", 0.0)] }),
-    pass!("fill_top" in "fill", Iterate, Faces, 64, [DISPATCH], [
-        "statistics": Read, "values": Write,
-    ], { constants: &[("TOP", 1.0)] }),
-    pass!("update", Iterate, Nodes, 64, [DISPATCH, SCALAR], [
-        "cylinders": Read, "values": Read, "radii": Write, "travels": Write,
+    pass!("measure_long_keyed" in "measure_long", Iterate, KeyedFaces, 256, [
+        DISPATCH, DISTANCE, SCALAR, SCAN, FILTER
+    ], [
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
+        "long_faces": Write, "keys": Write,
+    ], { constants: &[("KEYED", 1.0)] }),
+    pass!("update", Iterate, Strips, 256, [DISPATCH, SCALAR, FILL], [
+        "cylinders": Read, "statistics": Read, "radii": Write, "travels": Write,
     ]),
     pass!("support", Support, Nodes, 64, [DISPATCH], [
         "statistics": Read, "support": Write, "residuals": Write, "tallies": Write, "offsets": Read,
     ]),
 ];
 
-/// Numbers of invocations per short face that `measure_short` is built for.
-pub const LANES: [u32; 5] = [2, 4, 8, 16, 32];
+/// Numbers of invocations per short face that `measure_short` is built for. Each has eight of the face's
+/// points.
+pub const LANES: [u32; 6] = [1, 2, 4, 8, 16, 32];
 
 /// The constants of the arc tangent.
 fn angle_constants() -> String {

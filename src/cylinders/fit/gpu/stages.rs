@@ -3,7 +3,7 @@
 use super::FitWorkspace;
 use crate::cylinders::fit::DeformedTube;
 use crate::cylinders::fit::cpu::Deformation;
-use crate::cylinders::passes::{NONE, Section};
+use crate::cylinders::passes::{NONE, Section, long_faces};
 use crate::gpu::{Context, GpuError, checked};
 use crate::settings::Settings;
 
@@ -68,18 +68,27 @@ pub(super) fn run_on_cpu(
     history: bool,
     sections: &[Section<f32>],
 ) -> Result<Vec<CpuProgress>, GpuError> {
-    let write =
-        |name: &str, bytes: &[u8]| checked(&context.device, name, || workspace.write(context, name, bytes));
+    let write = |name: &str, bytes: &[u8]| {
+        checked(&context.device, name, || workspace.write(context, name, bytes)).flatten()
+    };
     if stages == CpuStages::None {
         return Ok(Vec::new());
     }
     // A section has no more points than its cylinder has slots: the other slots keep no owner.
-    let rows = |s: &Section<f32>| (0..s.len()).map(|i| [s.r[i], s.theta[i], s.z[i]]).collect::<Vec<_>>();
-    write("section", bytemuck::cast_slice(&sections.iter().flat_map(rows).collect::<Vec<_>>()))?;
+    let slots = workspace.parameters().slots as usize;
+    let mut coordinates = vec![0.0_f32; 3 * slots];
+    let mut first = 0;
+    for section in sections {
+        for (of_all, own) in [&section.r, &section.theta, &section.z].into_iter().enumerate() {
+            coordinates[of_all * slots + first..][..own.len()].copy_from_slice(own);
+        }
+        first += section.len();
+    }
+    write("section", bytemuck::cast_slice(&coordinates))?;
     let gated: Vec<u32> = sections.iter().map(|s| s.gated as u32).collect();
     write("gated", bytemuck::cast_slice(&gated))?;
     if workspace.parameters().single == 0 {
-        let mut owners = vec![NONE; workspace.parameters().slots as usize];
+        let mut owners = vec![NONE; slots];
         let cylinder_of_each = (0..).zip(sections).flat_map(|(c, s)| std::iter::repeat_n(c, s.len()));
         for (owner, cylinder) in owners.iter_mut().zip(cylinder_of_each) {
             *owner = cylinder;
@@ -107,6 +116,9 @@ pub(super) fn run_on_cpu(
         progress.push(CpuProgress { travel_mm: deformation.travel_mm, history_mm: deformation.history_mm });
     }
     write("offsets", bytemuck::cast_slice(&offsets))?;
+    let counts: Vec<u32> = offsets.windows(2).map(|ends| ends[1] - ends[0]).collect();
+    let long = long_faces(&counts, workspace.parameters().max_short);
+    write("long_faces", bytemuck::cast_slice(&[&[long.len() as u32, 0], &long[..]].concat()))?;
     write("grouped", bytemuck::cast_slice(&points))?;
     if stages.iterations() > 0 {
         write("radii", bytemuck::cast_slice(&radii))?;

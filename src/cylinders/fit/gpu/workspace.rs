@@ -5,13 +5,14 @@ use super::{CpuStages, ReadyPass};
 use crate::cylinders::passes::{DeviceCylinder, DevicePair, FitParameters};
 use crate::gpu::{Buffers, Context, GpuError, Timer, dispatch_size};
 use crate::settings::Settings;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// The source of a batch's points.
 pub(super) enum Points<'a> {
-    /// Points in their probes' planes, and the pairs whose transforms bring them into tubes.
-    Pairs { points: &'a [[f32; 2]], pairs: &'a [DevicePair] },
-    /// That many points of one tube, in its coordinates; the caller writes them to the section buffer.
+    /// That many points in their probes' planes, and the pairs whose transforms bring them into tubes.
+    Pairs { points: usize, pairs: &'a [DevicePair] },
+    /// That many points of one tube, in its coordinates.
     Section { count: u32 },
 }
 
@@ -22,12 +23,95 @@ pub(super) enum Points<'a> {
 pub struct FitWorkspace {
     parameters: FitParameters,
     iterations: u32,
-    lanes: u32,
+    short: ShortFaces,
+    /// Whether faces have so many points that several workgroups share the distances of each.
+    shared_faces: bool,
     long_groups: u32,
     buffers: Buffers,
     /// Bind groups by pass, `update`'s by iteration.
     bind_groups: BTreeMap<&'static str, Vec<wgpu::BindGroup>>,
     travel_stride: u64,
+    /// Radii of the primitive tubes, which the device holds.
+    radii_mm: Vec<f64>,
+}
+
+/// The size of a batch, in all its terms.
+pub(super) struct Plan {
+    parameters: FitParameters,
+    short: ShortFaces,
+    shared_faces: bool,
+    travel_stride: u64,
+    sizes: Vec<(&'static str, u64)>,
+}
+
+impl Plan {
+    /// Of a batch of so many cylinders. `subgroups` says whether they are used where the device has them.
+    pub(super) fn new(
+        context: &Context,
+        settings: &Settings,
+        cylinders: u32,
+        points: &Points,
+        history: bool,
+        subgroups: bool,
+    ) -> Result<Self, GpuError> {
+        let faces = u64::from(settings.nodes) * u64::from(settings.levels) * u64::from(cylinders);
+        let (slots, point_count, pairs) = match points {
+            Points::Pairs { points, pairs } => {
+                let slots = pairs.last().map_or(0, |p| u64::from(p.first_slot) + u64::from(p.count));
+                (slots, *points, Some(pairs.len() as u32))
+            }
+            Points::Section { count } => (u64::from(*count), 0, None),
+        };
+        let width = context.subgroup_width().filter(|_| subgroups);
+        let short = ShortFaces::new(slots, faces, width);
+        // Slots are numbered in u32, whatever the device could hold.
+        let slot_count = u32::try_from(slots).map_err(|_| GpuError::TooLarge {
+            name: "section".into(),
+            needed: 12 * slots,
+            allowed: 12 * u64::from(u32::MAX),
+        })?;
+        let mut parameters = FitParameters::new(settings, cylinders, slot_count, pairs, short.lanes);
+        // One window where the points fit a cache anyhow, or the device is a program that has no more than
+        // the CPU's.
+        if slot_count > 2 * WINDOW && !context.is_software() {
+            parameters.window = WINDOW.max(slot_count.div_ceil(MOST_WINDOWS));
+        }
+        let alignment = u64::from(context.device.limits().min_storage_buffer_offset_alignment);
+        let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
+        let sizes = sizes(&parameters, point_count, settings.iterations, history, travel_stride);
+        // A program on the CPU has no idle processors that could share them.
+        let shared_faces = short.lanes == 0 && slots >= SHARED_FACE * faces && !context.is_software();
+        Ok(Self { parameters, short, shared_faces, travel_stride, sizes })
+    }
+}
+
+/// Bind groups by pass, `update`'s by iteration.
+fn bind_groups(
+    context: &Context,
+    passes: &[ReadyPass],
+    buffers: &Buffers,
+    iterations: u32,
+    travel_stride: u64,
+) -> Result<BTreeMap<&'static str, Vec<wgpu::BindGroup>>, GpuError> {
+    let mut bind_groups = BTreeMap::new();
+    for ReadyPass { pass, pipeline } in passes {
+        let name = pass.shader.name;
+        let repeats = if name == "update" { iterations } else { 1 };
+        let groups = (0..repeats)
+            .map(|iteration| {
+                pipeline.bind(&context.device, |name| match name {
+                    "travels" => wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                        buffer: &buffers[name],
+                        offset: travel_stride * u64::from(iteration),
+                        size: None,
+                    }),
+                    _ => buffers[name].as_entire_binding(),
+                })
+            })
+            .collect::<Result<Vec<_>, GpuError>>()?;
+        bind_groups.insert(name, groups);
+    }
+    Ok(bind_groups)
 }
 
 /// The name and the size in bytes of every buffer of a batch.
@@ -58,13 +142,12 @@ pub(super) fn sizes(
         ("block_sums", 4 * faces.div_ceil(1024)),
         ("offsets", 4 * (faces + 1)),
         ("grouped", 12 * slots),
-        // Their number, the faces, and the number of those that were measured to the end.
-        ("long_faces", 4 * (2 + slots / u64::from(parameters.max_short + 1))),
+        // Their number, the number of those that were measured to the end, and the faces.
+        ("long_faces", 4 * (2 + most_long(parameters))),
         ("keys", if slots > u64::from(parameters.max_short) { 4 * slots } else { 4 }),
         ("primitive", 4 * nodes),
         ("radii", 4 * nodes),
         ("statistics", 24 * faces),
-        ("values", 8 * faces),
         ("travels", travel_stride * u64::from(iterations.max(1))),
         ("support", 4 * nodes),
         ("residuals", 4 * nodes),
@@ -73,11 +156,44 @@ pub(super) fn sizes(
     ]
 }
 
-/// The number of invocations that measure a short face: about half as many as it has points on average.
-pub(super) fn lanes(slots: u64, faces: u64) -> u32 {
-    let half = slots.div_ceil(2 * faces.max(1));
-    LANES.into_iter().find(|&l| u64::from(l) >= half).unwrap_or(LANES[LANES.len() - 1])
+/// Most long faces that a batch can have.
+fn most_long(parameters: &FitParameters) -> u64 {
+    let faces = u64::from(parameters.cylinders) * u64::from(parameters.faces);
+    faces.min(u64::from(parameters.slots) / u64::from(parameters.max_short + 1))
 }
+
+/// How the faces with few points are measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct ShortFaces {
+    /// Invocations per face, each with eight of its points; 0 where every face with points is a long one.
+    lanes: u32,
+    /// Whether they exchange values in subgroups.
+    subgroups: bool,
+}
+
+impl ShortFaces {
+    /// The way for a number of points and faces. Points are spread over the faces about evenly more often
+    /// than not: four standard deviations of such a spread still fit a short face. `width` is that of the
+    /// device's subgroups.
+    pub(super) fn new(slots: u64, faces: u64, width: Option<u32>) -> Self {
+        let mean = slots as f64 / faces.max(1) as f64;
+        let most = mean + 4.0 * mean.sqrt();
+        let lanes = LANES.into_iter().find(|&lanes| f64::from(8 * lanes) >= most).unwrap_or(0);
+        Self { lanes, subgroups: width.is_some_and(|width| lanes <= width) }
+    }
+}
+
+/// Places among the grouped points that `scatter` writes at a time: 25 MB of them, half of a large cache.
+const WINDOW: u32 = 1 << 21;
+
+/// Points per face on average from which several workgroups share a face's distances.
+const SHARED_FACE: u64 = 2048;
+
+/// Most windows: each of them reads all places.
+const MOST_WINDOWS: u32 = 64;
+
+/// Most workgroups of `update` in all: each adds to the two words of its cylinder's travel once.
+const MOST_UPDATE_GROUPS: u32 = 1024;
 
 /// The number of workgroups that share the long faces, of which there are at most `max_long`: enough to fill a GPU,
 /// and a few per thread on software, where even an idle workgroup costs microseconds.
@@ -95,84 +211,62 @@ impl FitWorkspace {
         self.iterations
     }
 
+    /// Device memory for a batch, that of `kept` where it is of like size. The caller writes the points.
     pub(super) fn new(
         context: &Context,
         passes: &[ReadyPass],
-        settings: &Settings,
+        plan: Plan,
         radii_mm: &[f64],
-        points: &Points,
-        history: bool,
+        settings: &Settings,
+        kept: Option<Self>,
     ) -> Result<Self, GpuError> {
-        let faces = u64::from(settings.nodes) * u64::from(settings.levels) * radii_mm.len() as u64;
-        let (slots, point_count, pairs) = match points {
-            Points::Pairs { points, pairs } => {
-                let slots = pairs.last().map_or(0, |p| u64::from(p.first_slot) + u64::from(p.count));
-                (slots, points.len(), Some(pairs.len() as u32))
+        let Plan { parameters, short, shared_faces, travel_stride, sizes } = plan;
+        let iterations = settings.iterations;
+        let known = kept.as_ref().is_some_and(|kept| {
+            kept.radii_mm == radii_mm && kept.parameters.node_count == parameters.node_count
+        });
+        let (buffers, bind_groups) = match kept {
+            Some(kept) => (kept.buffers, kept.bind_groups),
+            None => {
+                let buffers = Buffers::new(context, passes, &sizes)?;
+                let bind_groups = bind_groups(context, passes, &buffers, iterations, travel_stride)?;
+                (buffers, bind_groups)
             }
-            Points::Section { count } => (u64::from(*count), 0, None),
         };
-        let lanes = lanes(slots, faces);
-        let cylinders = radii_mm.len() as u32;
-        // Slots are numbered in u32, whatever the device could hold.
-        let slot_count = u32::try_from(slots).map_err(|_| GpuError::TooLarge {
-            name: "section".into(),
-            needed: 12 * slots,
-            allowed: 12 * u64::from(u32::MAX),
-        })?;
-        let parameters = FitParameters::new(settings, cylinders, slot_count, pairs, lanes);
-        let limits = context.device.limits();
-        let alignment = u64::from(limits.min_storage_buffer_offset_alignment);
-        let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
-        let sizes = sizes(&parameters, point_count, settings.iterations, history, travel_stride);
-        let buffers = Buffers::new(context, passes, &sizes)?;
-
-        let mut bind_groups = BTreeMap::new();
-        for ReadyPass { pass, pipeline } in passes {
-            let name = pass.shader.name;
-            let repeats = if name == "update" { settings.iterations } else { 1 };
-            let groups = (0..repeats)
-                .map(|iteration| {
-                    pipeline.bind(&context.device, |name| match name {
-                        "travels" => wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                            buffer: &buffers[name],
-                            offset: travel_stride * u64::from(iteration),
-                            size: None,
-                        }),
-                        _ => buffers[name].as_entire_binding(),
-                    })
-                })
-                .collect::<Result<Vec<_>, GpuError>>()?;
-            bind_groups.insert(name, groups);
-        }
-
-        let max_long = slots / u64::from(parameters.max_short + 1);
         let workspace = Self {
             parameters,
-            iterations: settings.iterations,
-            lanes,
-            long_groups: long_groups(context, max_long) as u32,
+            iterations,
+            short,
+            shared_faces,
+            long_groups: long_groups(context, most_long(&parameters)) as u32,
             buffers,
             bind_groups,
             travel_stride,
+            radii_mm: radii_mm.to_vec(),
         };
+        workspace.write(context, "parameters", bytemuck::bytes_of(&parameters))?;
+        if !known {
+            let count = parameters.node_count as usize;
+            let repeated = |&radius: &f64| rayon::iter::repeat_n(radius as f32, count);
+            let primitive: Vec<f32> = radii_mm.par_iter().flat_map(repeated).collect();
+            workspace.write(context, "primitive", bytemuck::cast_slice(&primitive))?;
+        }
         let device_cylinders: Vec<DeviceCylinder> =
             radii_mm.iter().map(|&r| DeviceCylinder::new(settings, r)).collect();
-        let primitive: Vec<f32> = radii_mm
-            .iter()
-            .flat_map(|&r| std::iter::repeat_n(r as f32, parameters.node_count as usize))
-            .collect();
-        workspace.write(context, "parameters", bytemuck::bytes_of(&parameters));
-        workspace.write(context, "cylinders", bytemuck::cast_slice(&device_cylinders));
-        workspace.write(context, "primitive", bytemuck::cast_slice(&primitive));
-        if let Points::Pairs { points, pairs } = points {
-            workspace.write(context, "points", bytemuck::cast_slice(points));
-            workspace.write(context, "pairs", bytemuck::cast_slice(pairs));
-        }
+        workspace.write(context, "cylinders", bytemuck::cast_slice(&device_cylinders))?;
         Ok(workspace)
     }
 
-    pub(super) fn write(&self, context: &Context, name: &str, bytes: &[u8]) {
-        context.write(&self.buffers[name], bytes);
+    /// Whether the memory of this workspace will do for another batch.
+    pub(super) fn suits(&self, plan: &Plan, iterations: u32) -> bool {
+        let bound = self.bind_groups.get("update").map_or(0, Vec::len);
+        self.travel_stride == plan.travel_stride
+            && bound >= iterations as usize
+            && self.buffers.suit(&plan.sizes)
+    }
+
+    pub(super) fn write(&self, context: &Context, name: &str, bytes: &[u8]) -> Result<(), GpuError> {
+        context.write(&self.buffers[name], bytes)
     }
 
     /// The buffer of that name, where there is one.
@@ -200,7 +294,8 @@ impl FitWorkspace {
         self.buffers.bytes()
     }
 
-    /// The buffer that a host writes its points to: r (mm), θ (rad) and z (mm) of each, f32 ×3.
+    /// The buffer that a host writes its points to: r (mm) of all of them, then θ (rad) of all, then z (mm),
+    /// f32.
     pub fn section(&self) -> &wgpu::Buffer {
         &self.buffers["section"]
     }
@@ -213,20 +308,45 @@ impl FitWorkspace {
     /// The number of workgroups of a pass: two dimensions and the cylinders.
     fn groups(&self, pass: &Pass) -> [u32; 3] {
         let (parameters, size) = (&self.parameters, pass.shader.workgroup_size);
-        let all_faces = parameters.cylinders * parameters.faces;
+        let blocks = (parameters.cylinders * parameters.faces).div_ceil(1024);
         let (count, layers) = match pass.items {
             Items::Pairs => (parameters.pairs, 1),
-            Items::Slots => (parameters.slots.div_ceil(size), 1),
-            Items::Blocks => (all_faces.div_ceil(1024), 1),
-            Items::One => (1, 1),
-            Items::AllFaces => (all_faces.div_ceil(size), 1),
-            Items::ShortFaces => (parameters.faces.div_ceil(size / self.lanes), parameters.cylinders),
-            Items::LongFaces => (self.long_groups, 1),
-            Items::Faces => (parameters.faces.div_ceil(size), parameters.cylinders),
+            Items::Tiles | Items::FewTiles => (parameters.slots.div_ceil(1024), 1),
+            Items::Slots => (parameters.slots.div_ceil(size), parameters.slots.div_ceil(parameters.window)),
+            Items::SeveralBlocks | Items::Blocks => (blocks, 1),
+            Items::Spine => (1, 1),
+            Items::ShortFaces | Items::ShortFacesShared => {
+                (parameters.faces.div_ceil(size / self.short.lanes.max(1)), parameters.cylinders)
+            }
+            Items::LongFaces | Items::KeyedFaces => (self.long_groups, 1),
+            Items::Points => (parameters.slots.div_ceil(size), 1),
+            Items::Strips => {
+                let width = (parameters.nodes + 2).min(size);
+                let strips = (parameters.levels + 1) * parameters.nodes.div_ceil(width - 2);
+                let most = MOST_UPDATE_GROUPS.div_ceil(parameters.cylinders);
+                (strips.div_ceil(size / width).min(most), parameters.cylinders)
+            }
             Items::Nodes => (parameters.node_count.div_ceil(size), parameters.cylinders),
         };
         let [x, y] = dispatch_size(count);
         [x, y, layers]
+    }
+
+    /// Whether a fit of this size needs a pass.
+    fn needs(&self, pass: &Pass) -> bool {
+        let several_blocks = self.parameters.cylinders * self.parameters.faces > 1024;
+        let work = match pass.items {
+            Items::Pairs => self.parameters.single == 0,
+            // The sum before the only block is 0, which its buffer holds.
+            Items::SeveralBlocks | Items::Spine | Items::Tiles => several_blocks,
+            Items::FewTiles => !several_blocks,
+            Items::LongFaces => !self.shared_faces,
+            Items::Points | Items::KeyedFaces => self.shared_faces,
+            Items::ShortFaces => self.short.lanes > 0 && self.short.subgroups,
+            Items::ShortFacesShared => self.short.lanes > 0 && !self.short.subgroups,
+            _ => true,
+        };
+        work && self.groups(pass)[0] > 0
     }
 
     /// Puts one pass into a compute pass, unless it has no work.
@@ -243,7 +363,7 @@ impl FitWorkspace {
         if x > 0
             && let Some(bind_group) = bind_groups.get(iteration as usize).or(bind_groups.first())
         {
-            compute.set_pipeline(ready.pipeline.get(&context.device, self.lanes)?);
+            compute.set_pipeline(ready.pipeline.get(&context.device, self.short.lanes)?);
             compute.set_bind_group(0, bind_group, &[]);
             compute.dispatch_workgroups(x, y, z);
         }
@@ -271,35 +391,45 @@ impl FitWorkspace {
         history: bool,
         timer: &mut Timer,
     ) -> Result<(), GpuError> {
-        for name in ["counts", "travels", "tallies"] {
-            encoder.clear_buffer(&self.buffers[name], 0, None);
+        let all_faces = u64::from(self.parameters.cylinders) * u64::from(self.parameters.faces);
+        let all_nodes = u64::from(self.parameters.cylinders) * u64::from(self.parameters.node_count);
+        let travels = self.travel_stride * u64::from(self.iterations.max(1));
+        let tallies = 8 * u64::from(self.parameters.cylinders);
+        // Kept buffers may be larger than this batch needs.
+        for (name, bytes) in [("counts", 4 * all_faces), ("travels", travels), ("tallies", tallies)] {
+            encoder.clear_buffer(&self.buffers[name], 0, Some(bytes));
         }
-        let long_faces = &self.buffers["long_faces"];
-        encoder.clear_buffer(long_faces, 0, Some(4));
-        encoder.clear_buffer(long_faces, long_faces.size() - 4, None);
-        if done < CpuStages::Project {
+        // The CPU lists the long faces where it groups the points.
+        let kept_words = u64::from(done >= CpuStages::Group);
+        encoder.clear_buffer(&self.buffers["long_faces"], 4 * kept_words, Some(4 * (2 - kept_words)));
+        if done < CpuStages::Project && self.parameters.single == 0 {
             encoder.clear_buffer(&self.buffers["gated"], 0, None);
         }
         if done.iterations() == 0 {
-            encoder.clear_buffer(&self.buffers["statistics"], 0, None);
-            let radii_bytes = self.buffers["radii"].size();
-            encoder.copy_buffer_to_buffer(&self.buffers["primitive"], 0, self.radii(), 0, Some(radii_bytes));
+            // Elsewhere every triangle's is written.
+            if self.short.lanes == 0 || self.iterations == 0 {
+                encoder.clear_buffer(&self.buffers["statistics"], 0, Some(24 * all_faces));
+            }
+            let radii = 4 * all_nodes;
+            encoder.copy_buffer_to_buffer(&self.buffers["primitive"], 0, self.radii(), 0, Some(radii));
         }
         let keep = |encoder: &mut wgpu::CommandEncoder, iteration: u32| {
             if history {
-                let bytes = 4 * u64::from(self.parameters.cylinders) * u64::from(self.parameters.node_count);
+                let bytes = 4 * all_nodes;
                 let to = bytes * u64::from(iteration);
                 encoder.copy_buffer_to_buffer(self.radii(), 0, &self.buffers["history"], to, Some(bytes));
             }
         };
         keep(encoder, 0);
         let is_done = |stage: Stage| match stage {
-            Stage::Project => self.parameters.single == 1 || done >= CpuStages::Project,
+            Stage::Project => done >= CpuStages::Project,
             Stage::Group => done >= CpuStages::Group,
             _ => false,
         };
-        let of = |stage: Stage| passes.iter().filter(move |p| p.pass.stage == stage && !is_done(stage));
-        let before = [Stage::Project, Stage::Group, Stage::Classify].into_iter().flat_map(of).map(|p| (p, 0));
+        let of = |stage: Stage| {
+            passes.iter().filter(move |p| p.pass.stage == stage && !is_done(stage) && self.needs(p.pass))
+        };
+        let before = [Stage::Project, Stage::Group].into_iter().flat_map(of).map(|p| (p, 0));
         let iterations = done.iterations()..self.iterations;
         let iterated = iterations.flat_map(|i| of(Stage::Iterate).map(move |p| (p, i)));
         let after = of(Stage::Support).map(|p| (p, 0));

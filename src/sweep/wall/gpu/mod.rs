@@ -8,7 +8,7 @@ pub use workspace::WallWorkspace;
 
 use crate::Result;
 use crate::engine::EngineDescription;
-use crate::gpu::{AdapterDescription, Context, GpuError, Job, PassTimes, Runner};
+use crate::gpu::{AdapterDescription, Context, GpuError, Job, PassTimes, Runner, Spent};
 use crate::numerics::banded::Dissected;
 use crate::recording::echo_error::OUT_OF_PLANE;
 use crate::sweep::prepare::{echo, grid::WallGrid};
@@ -75,7 +75,7 @@ impl GpuWallEngine {
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses one.
     pub fn warm_up(&self) -> Result<()> {
-        Ok(self.runner.warm_up()?)
+        Ok(self.runner.warm_up(|_, _| true)?)
     }
 
     /// Does some work and returns with it the device time of each of its passes, in seconds, in the order of
@@ -85,6 +85,11 @@ impl GpuWallEngine {
     /// The work's.
     pub fn timed<R>(&self, work: impl FnOnce(&Self) -> Result<R>) -> Result<(R, PassTimes)> {
         self.runner.timed(|| work(self))
+    }
+
+    /// What the work of this engine took since this was last asked.
+    pub(crate) fn take_spent(&self) -> Spent {
+        self.runner.take_spent()
     }
 
     /// Device memory for a wall and the echoes about it.
@@ -149,7 +154,10 @@ impl GpuWallEngine {
         let (rings, nodes) = (grid.rings as u32, grid.nodes as u32);
         let parameters = WallParameters::new(rings, nodes, start_mm, OUT_OF_PLANE);
         let of_device: Vec<DeviceEcho> = echoes.iter().map(|echo| echo.for_device(grid, start_mm)).collect();
+        let start = std::time::Instant::now();
         let workspace = self.prepare(&parameters, &of_device)?;
+        let memory_s = start.elapsed().as_secs_f64();
+        self.runner.spend(Spent { memory_s, ..Spent::default() });
         Ok(OnDevice { engine: self, workspace, grid, echoes, start_mm })
     }
 }
@@ -170,10 +178,10 @@ impl WallEngine for OnDevice<'_> {
             project: u32::from(project),
             ..self.workspace.parameters().with_noise(noise_mm)
         };
-        self.workspace.set_parameters(context, &parameters);
+        self.workspace.set_parameters(context, &parameters)?;
         let state = State { rank: (self.echoes.len() / 2) as u32, ..State::default() };
         let of_device = self.workspace.shared("state");
-        context.write(of_device, bytemuck::bytes_of(&state));
+        context.write(of_device, bytemuck::bytes_of(&state))?;
         let digit = Stage::MedianDigit;
         let stages = [Stage::Measure, digit, digit, digit, digit];
         let read = self.engine.run(&self.workspace, &stages, &[of_device], |_| ())?;
@@ -193,7 +201,7 @@ impl WallEngine for OnDevice<'_> {
             WallParameters { gated: u32::from(!reweighting.warm_up), ..*self.workspace.parameters() }
                 .with_noise(reweighting.noise_mm)
                 .with_smoothness(reweighting.smoothness_mm2, grid.step_mm, grid.arc_mm);
-        self.workspace.set_parameters(context, &parameters);
+        self.workspace.set_parameters(context, &parameters)?;
         let sums = ["sums_low", "sums_high"].map(|name| self.workspace.shared(name));
         let ring_weights = self.workspace.shared("ring_weights");
         let read = engine.run(&self.workspace, &[Stage::Equations], &[ring_weights], |encoder| {
@@ -211,15 +219,15 @@ impl WallEngine for OnDevice<'_> {
         let factors = factors(grid, &parameters, ring_weights, reweighting.smoothness_mm2);
         let factors =
             factors.ok_or(GpuError::Wrong { what: "weights of the rings", found: weight.to_string() })?;
-        context.write(self.workspace.shared("factors"), bytemuck::cast_slice(&factors.rings));
-        context.write(self.workspace.shared("separators"), bytemuck::cast_slice(&factors.separators));
+        context.write(self.workspace.shared("factors"), bytemuck::cast_slice(&factors.rings))?;
+        context.write(self.workspace.shared("separators"), bytemuck::cast_slice(&factors.separators))?;
         // The right-hand side for whole radii, in the preconditioner's norm: the reference of the relative
         // residual.
-        context.write(self.workspace.shared("state"), bytemuck::bytes_of(&State::default()));
+        context.write(self.workspace.shared("state"), bytemuck::bytes_of(&State::default()))?;
         let stages = [Stage::RightHandSide, Stage::Precondition];
         let whole = self.sum_of_partials(&stages, self.workspace.frequency_groups())?;
         let max_residual_square = (reweighting.tolerance * reweighting.tolerance * whole) as f32;
-        self.workspace.set_parameters(context, &WallParameters { max_residual_square, ..parameters });
+        self.workspace.set_parameters(context, &WallParameters { max_residual_square, ..parameters })?;
         let solved = self.conjugate_gradients()?;
 
         let count = grid.node_count();

@@ -88,7 +88,7 @@ impl WallWorkspace {
                     Ok((ready.pass.shader.name, ready.pipeline.bind(&context.device, find)?))
                 })
                 .collect::<Result<_, GpuError>>()?;
-            context.write(&own["echoes"], bytemuck::cast_slice(echoes));
+            context.write(&own["echoes"], bytemuck::cast_slice(echoes))?;
             Ok(Chunk { echoes: echoes.len() as u32, buffers: own, bind_groups })
         };
         // Without echoes there is one empty chunk.
@@ -97,8 +97,8 @@ impl WallWorkspace {
             _ => echoes.chunks(max_echoes).map(chunk).collect::<Result<_, GpuError>>()?,
         };
         let mut workspace = Self { parameters: *parameters, buffers, chunks };
-        context.write(workspace.shared("twiddles"), bytemuck::cast_slice(&twiddles(parameters.nodes)));
-        workspace.set_parameters(context, parameters);
+        context.write(workspace.shared("twiddles"), bytemuck::cast_slice(&twiddles(parameters.nodes)))?;
+        workspace.set_parameters(context, parameters)?;
         Ok(workspace)
     }
 
@@ -143,13 +143,18 @@ impl WallWorkspace {
     }
 
     /// Sets the parameters of the passes; the grid and the number of echoes stay.
-    pub(super) fn set_parameters(&mut self, context: &Context, parameters: &WallParameters) {
+    pub(super) fn set_parameters(
+        &mut self,
+        context: &Context,
+        parameters: &WallParameters,
+    ) -> Result<(), GpuError> {
         for chunk in &self.chunks {
             let parameters = WallParameters { echoes: chunk.echoes, ..*parameters };
-            context.write(&chunk.buffers["parameters"], bytemuck::bytes_of(&parameters));
+            context.write(&chunk.buffers["parameters"], bytemuck::bytes_of(&parameters))?;
         }
         self.parameters =
             WallParameters { echoes: self.chunks.first().map_or(0, |chunk| chunk.echoes), ..*parameters };
+        Ok(())
     }
 
     /// Puts a pass into a compute pass, over all chunks where it processes echoes.

@@ -1,0 +1,47 @@
+// The key of each point's distance, where faces have so many points that one workgroup would take too long
+// over a face: here all workgroups share the points of all faces, whatever face they belong to.
+
+@group(0) @binding(0) var<uniform> parameters: FitParameters;
+@group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
+@group(0) @binding(2) var<storage, read> offsets: array<u32>;
+@group(0) @binding(3) var<storage, read> grouped: array<f32>;
+@group(0) @binding(4) var<storage, read> radii: array<f32>;
+// One key per point.
+@group(0) @binding(5) var<storage, read_write> keys: array<u32>;
+
+@compute @workgroup_size(256)
+fn main(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = workgroup_index(group, groups) * 256u + local;
+    // Fewer than the slots where points did not pass the gate.
+    let all_faces = parameters.cylinders * parameters.faces;
+    if (i >= offsets[all_faces]) {
+        return;
+    }
+    // The last face that begins at or before the point.
+    var face_of_all = 0u;
+    var beyond = all_faces;
+    while (beyond - face_of_all > 1u) {
+        let middle = (face_of_all + beyond) / 2u;
+        if (offsets[middle] <= i) {
+            face_of_all = middle;
+        } else {
+            beyond = middle;
+        }
+    }
+    let cylinder = face_of_all / parameters.faces;
+    let face = face_of_all - cylinder * parameters.faces;
+    let level = face / parameters.nodes;
+    let j = face - level * parameters.nodes;
+    let k = select(j + 1u, 0u, j + 1u == parameters.nodes);
+    let row = cylinder * parameters.node_count + level * parameters.nodes;
+    let above = row + parameters.nodes;
+    let a = radii[row + j];
+    let corners = Face(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
+    let p = vec3f(grouped[3u * i] - a, grouped[3u * i + 1u], grouped[3u * i + 2u]);
+    let nearer = distance_to_face(p, corners, parameters.step_theta, parameters.step_z);
+    keys[i] = packed_key(nearer.distance, nearer.top, cylinders[cylinder].scale);
+}
