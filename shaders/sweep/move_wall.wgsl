@@ -1,9 +1,11 @@
-// Moves the wall by the solution, and sums up the distances that its nodes travel.
+// Moves the wall by the solution, and sums up the distances that its nodes travel, weighted by the diagonal of the
+// echoes' equations, and these weights: two sums for every workgroup.
 
 @group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> change: array<f32>;
-@group(0) @binding(2) var<storage, read_write> wall: array<f32>;
-@group(0) @binding(3) var<storage, read_write> partials: array<f32>;
+@group(0) @binding(2) var<storage, read> rows: array<vec4f>;
+@group(0) @binding(3) var<storage, read_write> wall: array<f32>;
+@group(0) @binding(4) var<storage, read_write> partials: array<f32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -16,14 +18,21 @@ fn main(
     if (index * 256u >= parameters.node_count) {
         return;
     }
-    var own = 0.0;
+    var weight = 0.0;
+    var weighted = 0.0;
     if (node < parameters.node_count) {
         let travel = parameters.noise * change[node];
         wall[node] += travel;
-        own = abs(travel);
+        weight = rows[node].x;
+        weighted = weight * abs(travel);
     }
-    let sum = sum_of_workgroup(own, 256u, local);
+    let travels = sum_of_workgroup(weighted, 256u, local);
     if (local == 0u) {
-        partials[index] = sum;
+        partials[2u * index] = travels;
+    }
+    workgroupBarrier();
+    let weights = sum_of_workgroup(weight, 256u, local);
+    if (local == 0u) {
+        partials[2u * index + 1u] = weights;
     }
 }

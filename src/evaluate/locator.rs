@@ -121,10 +121,13 @@ impl Locator {
 
     /// The closest points to many queries, in the queries' order, on all threads of the current pool.
     ///
-    /// Queries are visited along a space-filling curve: each then lies near its predecessor, whose triangle bounds the
-    /// search.
+    /// Queries that do not come one near the other are visited along a space-filling curve: each then lies near its
+    /// predecessor, whose triangle bounds the search.
     pub fn closest_all(&self, queries_mm: &[DVec3]) -> Vec<Closest> {
-        let order = along_a_curve(queries_mm);
+        let order = match are_neighbours(queries_mm) {
+            true => (0..queries_mm.len() as u32).collect(),
+            false => along_a_curve(queries_mm),
+        };
         let along = |run: &[u32]| -> Vec<Closest> {
             let mut start = 0;
             let mut next = |query_mm| {
@@ -313,6 +316,17 @@ fn entry(node: &BvhNode, origin: DVec3, direction: DVec3) -> f32 {
 fn squared_distance(node: &BvhNode, query: Vec3A) -> f32 {
     let (low, high) = (Vec3A::from(node.mins()), Vec3A::from(node.maxs()));
     (low - query).max(query - high).max(Vec3A::ZERO).length_squared()
+}
+
+/// Whether queries come in an order in which each lies near its predecessor, as the nodes of rings do: on average within a
+/// few of the distances that so many would have if they lay on a plane as large as their bounding box.
+fn are_neighbours(queries: &[DVec3]) -> bool {
+    const DISTANCES: f64 = 4.0;
+    let way = |pair: &[DVec3]| pair[0].distance(pair[1]);
+    let mean = queries.windows(2).map(way).sum::<f64>() / queries.len() as f64;
+    let low = queries.iter().copied().fold(DVec3::INFINITY, DVec3::min);
+    let high = queries.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+    mean < DISTANCES * low.distance(high) / (queries.len() as f64).sqrt()
 }
 
 /// The queries in the order of a Morton curve through their bounding box, a thousand cells a side.

@@ -1,4 +1,4 @@
-//! Symmetric systems with five diagonals, as penalties on second differences make them.
+//! Symmetric systems with few diagonals, as penalties on second differences make them.
 
 use std::ops::{AddAssign, Mul, Sub};
 
@@ -195,5 +195,98 @@ impl Factored {
             x[i] = here;
         }
         x
+    }
+}
+
+/// A symmetric matrix with `width` diagonals on either side of the main one, and later the factor L of its `L Lᵀ`.
+#[derive(Debug, Clone)]
+pub(crate) struct Banded {
+    width: usize,
+    /// Row after row: the elements from the lowest diagonal to the main one.
+    rows: Vec<f64>,
+}
+
+impl Banded {
+    /// A matrix of zeros.
+    pub(crate) fn zeros(count: usize, width: usize) -> Self {
+        Self { width, rows: vec![0.0; count * (width + 1)] }
+    }
+
+    /// Adds to the element of a row and a column that is not above it.
+    pub(crate) fn add(&mut self, row: usize, column: usize, x: f64) {
+        self.rows[row * (self.width + 1) + self.width - (row - column)] += x;
+    }
+
+    /// Its Cholesky factor, with `floor` times the largest element of the diagonal added to that; `None` where the matrix is
+    /// not positive definite.
+    pub(crate) fn factored(mut self, floor: f64) -> Option<Self> {
+        let Self { width, rows } = &mut self;
+        let (width, stride) = (*width, *width + 1);
+        let largest = rows.chunks_exact(stride).fold(0.0_f64, |max, row| max.max(row[width]));
+        for i in 0..rows.len() / stride {
+            let (before, row) = rows.split_at_mut(i * stride);
+            let row = &mut row[..stride];
+            row[width] += floor * largest;
+            for j in i.saturating_sub(width)..i {
+                // Element (i, j): less the product of the rows i and j of L, as far as both reach.
+                let place = width - (i - j);
+                let other = &before[j * stride..(j + 1) * stride];
+                let product: f64 = row[..place].iter().zip(&other[i - j..width]).map(|(a, b)| a * b).sum();
+                row[place] = (row[place] - product) / other[width];
+            }
+            let rest = row[width] - row[..width].iter().map(|x| x * x).sum::<f64>();
+            if !(rest > 0.0 && rest.is_finite()) {
+                return None;
+            }
+            row[width] = rest.sqrt();
+        }
+        Some(self)
+    }
+
+    /// Solves for one right-hand side, in its place, with a factor.
+    pub(crate) fn solve(&self, x: &mut [f64]) {
+        let (width, stride) = (self.width, self.width + 1);
+        let row = |i: usize| &self.rows[i * stride..(i + 1) * stride];
+        for i in 0..x.len() {
+            let first = i.saturating_sub(width);
+            let row = row(i);
+            let product: f64 =
+                row[width - (i - first)..width].iter().zip(&x[first..i]).map(|(l, x)| l * x).sum();
+            x[i] = (x[i] - product) / row[width];
+        }
+        for i in (0..x.len()).rev() {
+            let first = i.saturating_sub(width);
+            let row = row(i);
+            let here = x[i] / row[width];
+            x[i] = here;
+            x[first..i].iter_mut().zip(&row[width - (i - first)..width]).for_each(|(x, l)| *x -= here * l);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_banded_system_is_solved() {
+        // Rows i have 4 + i on the diagonal and 1, 0.5 and 0.25 beside it.
+        let element = |i: usize, j: usize| match i.abs_diff(j) {
+            0 => 4.0 + i as f64,
+            near @ 1..=3 => 0.5_f64.powi(near as i32 - 1),
+            _ => 0.0,
+        };
+        for count in [1, 2, 3, 4, 9] {
+            let mut matrix = Banded::zeros(count, 3);
+            (0..count).for_each(|i| (i.saturating_sub(3)..=i).for_each(|j| matrix.add(i, j, element(i, j))));
+            let truth: Vec<f64> = (0..count).map(|i| 1.0 - 0.3 * i as f64).collect();
+            let product = |i: usize| (0..count).map(|j| element(i, j) * truth[j]).sum();
+            let mut x: Vec<f64> = (0..count).map(product).collect();
+            matrix.factored(0.0).unwrap().solve(&mut x);
+            assert!(x.iter().zip(&truth).all(|(a, b)| (a - b).abs() < 1e-13), "{x:?}");
+        }
+        let mut indefinite = Banded::zeros(2, 1);
+        [(0, 0, 1.0), (1, 0, 2.0), (1, 1, 1.0)].iter().for_each(|&(i, j, x)| indefinite.add(i, j, x));
+        assert!(indefinite.factored(0.0).is_none());
     }
 }

@@ -1,5 +1,7 @@
 //! Robust statistics: medians, and the weight functions of M-estimators.
 
+use rayon::prelude::*;
+
 /// The standard deviation of a normal distribution in units of its median absolute deviation.
 pub(crate) const SD_PER_MAD: f64 = 1.4826;
 
@@ -13,6 +15,35 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     }
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// As [`median`], of |values|, on all threads.
+pub(crate) fn median_size(values: impl IndexedParallelIterator<Item = f64>) -> f64 {
+    // The sign apart, bits sort like numbers: their top 16 are counted, and those that share the median's are selected from.
+    const SHIFT: u32 = 48;
+    const TASK: usize = 1 << 16;
+    let sizes: Vec<f64> = values.map(f64::abs).collect();
+    let top = |size: &f64| (size.to_bits() >> SHIFT) as usize;
+    let count = |mut counts: Vec<u32>, task: &[f64]| {
+        task.iter().for_each(|size| counts[top(size)] += 1);
+        counts
+    };
+    let none = || vec![0_u32; 1 << (63 - SHIFT)];
+    let add = |mut a: Vec<u32>, b: Vec<u32>| {
+        a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+        a
+    };
+    let counts = sizes.par_chunks(TASK).fold(none, count).reduce(none, add);
+    let (mut rank, mut prefix) = (sizes.len() / 2, 0);
+    for (bits, count) in counts.into_iter().enumerate() {
+        prefix = bits;
+        if rank < count as usize {
+            break;
+        }
+        rank -= count as usize;
+    }
+    let mut near: Vec<f64> = sizes.into_par_iter().filter(|size| top(size) == prefix).collect();
+    if near.is_empty() { 0.0 } else { *near.select_nth_unstable_by(rank, f64::total_cmp).1 }
 }
 
 /// The standard deviation of normal noise about 0, from its absolute values. Reorders them.
@@ -39,6 +70,17 @@ mod tests {
         assert_eq!(median(&mut []), 0.0);
         assert_eq!(median(&mut [3.0, 1.0, 2.0]), 2.0);
         assert_eq!(median(&mut [4.0, 1.0, 3.0, 2.0]), 3.0);
+    }
+
+    #[test]
+    fn the_median_size_is_the_median_of_the_sizes() {
+        for count in [0, 1, 2, 3, 1000, 70_001, 200_000] {
+            let value = |i: usize| ((i * i % 977) as f64 - 400.0) * 0.013_f64.powi((i % 5) as i32);
+            let values: Vec<f64> = (0..count).map(value).collect();
+            let found = median_size(values.par_iter().copied());
+            assert_eq!(found, median(&mut values.iter().map(|x| x.abs()).collect::<Vec<_>>()), "{count}");
+        }
+        assert!(median_size([f64::NAN, -f64::NAN, 1.0].into_par_iter()).is_nan());
     }
 
     #[test]

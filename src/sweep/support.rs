@@ -5,6 +5,10 @@ use super::prepare::grid::WallGrid;
 use super::wall::fit::Wall;
 use super::wall::residual::is_inlier;
 use crate::numerics::robust::median;
+use rayon::prelude::*;
+
+/// Echoes or nodes per parallel task.
+const TASK: usize = 8192;
 
 /// The data that support the radius of each node. All lists have one value per node.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,12 +62,15 @@ impl Support {
 
     /// The support of a wall's nodes by echoes with their projections on it.
     pub(super) fn of(grid: &WallGrid, echoes: &[Echo], wall: &Wall) -> Self {
-        let mut tally = Tally::new(grid.node_count());
-        for echo in echoes {
+        let placed = echoes.par_iter().with_min_len(TASK).map(|echo| {
             let (ring, node) = echo.projection();
-            let node = grid.corners(ring, node).nearest();
             let squares_mm2 = echo.weight * echo.residual_mm * echo.residual_mm;
-            tally.add(node, is_inlier(echo, wall.noise_mm), echo.weight, squares_mm2, echo.frame);
+            (grid.corners(ring, node).nearest(), is_inlier(echo, wall.noise_mm), squares_mm2)
+        });
+        let placed: Vec<(usize, bool, f64)> = placed.collect();
+        let mut tally = Tally::new(grid.node_count());
+        for (echo, (node, on_wall, squares_mm2)) in echoes.iter().zip(placed) {
+            tally.add(node, on_wall, echo.weight, squares_mm2, echo.frame);
         }
         let density = median(&mut tally.own().filter(|&n| n > 0.0).collect::<Vec<_>>()) / grid.cell_mm2();
         let statistics = tally.statistics(grid, density, wall.smoothness_mm2);
@@ -168,82 +175,82 @@ impl Tally {
 
         let of = |k: usize| self.sums.iter().map(|sums| sums[k]).collect::<Vec<_>>();
         let about = Moments::about(grid, &of(0), reach);
-        let off_wall = Moments::about(grid, &of(1), reach).sums;
-        let squares = Moments::about(grid, &of(2), reach).sums;
-        let variance = |node: usize| squares[node] / about.sums[node];
+        let off_wall = Moments::about(grid, &of(1), reach);
+        let squares = Moments::about(grid, &of(2), reach);
+        let variance = |node: usize| squares[node].sum / about[node].sum;
         let standard_error = |node: usize| {
-            if about.sums[node] == 0.0 {
+            if about[node].sum == 0.0 {
                 return f64::INFINITY;
             }
             // The variance of a thin plate on evenly spread points: σ² / (8 √(λρ)).
-            let plate = variance(node) / (8.0 * (smoothness_mm2 * about.sums[node] / window_mm2).sqrt());
-            (plate * about.leverage(node)).sqrt()
+            let plate = variance(node) / (8.0 * (smoothness_mm2 * about[node].sum / window_mm2).sqrt());
+            (plate * about[node].leverage()).sqrt()
         };
         NodeStatistics {
             residual_mm: (0..count).map(|node| variance(node).sqrt()).collect(),
             standard_error_mm: (0..count).map(standard_error).collect(),
             is_mouth: (0..count)
-                .map(|node| off_wall[node] / (off_wall[node] + about.sums[node]) > MAX_OFF_WALL)
+                .map(|node| off_wall[node].sum / (off_wall[node].sum + about[node].sum) > MAX_OFF_WALL)
                 .collect(),
         }
     }
 }
 
-/// Moments of a value per node within a window about each node; offsets in nodes.
+/// Moments of a value per node within a window about one of them; offsets in nodes.
+#[derive(Debug, Clone, Copy, Default)]
 struct Moments {
-    sums: Vec<f64>,
+    sum: f64,
     /// First and second moments along the axis and about it.
-    along: Vec<[f64; 2]>,
-    around: Vec<[f64; 2]>,
+    along: [f64; 2],
+    around: [f64; 2],
 }
 
 impl Moments {
-    /// Over the nodes at most `reach` rings and nodes away.
-    fn about(grid: &WallGrid, values: &[f64], [rings_away, nodes_away]: [usize; 2]) -> Self {
+    /// About every node, over the nodes at most `reach` rings and nodes away.
+    fn about(grid: &WallGrid, values: &[f64], [rings_away, nodes_away]: [usize; 2]) -> Vec<Self> {
         let (rings, nodes) = (grid.rings, grid.nodes);
+        let tasks = TASK.div_ceil(nodes);
         let mut columns = vec![[0.0; 3]; values.len()];
-        for k in 0..rings {
+        columns.par_chunks_mut(nodes).with_min_len(tasks).enumerate().for_each(|(k, columns)| {
             for other in k.saturating_sub(rings_away)..(k + rings_away + 1).min(rings) {
                 let offset = other as f64 - k as f64;
                 for j in 0..nodes {
                     let value = values[other * nodes + j];
-                    let column = &mut columns[k * nodes + j];
+                    let column = &mut columns[j];
                     column[0] += value;
                     column[1] += offset * value;
                     column[2] += offset * offset * value;
                 }
             }
-        }
-        let mut moments = Self {
-            sums: vec![0.0; values.len()],
-            along: vec![[0.0; 2]; values.len()],
-            around: vec![[0.0; 2]; values.len()],
-        };
-        for node in 0..values.len() {
-            let (row, j) = (node / nodes * nodes, node % nodes);
-            for i in 0..=2 * nodes_away {
-                let offset = i as f64 - nodes_away as f64;
-                let [sum, first, second] = columns[row + (j + nodes + i - nodes_away) % nodes];
-                moments.sums[node] += sum;
-                moments.along[node][0] += first;
-                moments.along[node][1] += second;
-                moments.around[node][0] += offset * sum;
-                moments.around[node][1] += offset * offset * sum;
-            }
-        }
+        });
+        let mut moments = vec![Self::default(); values.len()];
+        moments.par_chunks_mut(nodes).zip(columns.par_chunks(nodes)).with_min_len(tasks).for_each(
+            |(moments, columns)| {
+                for (j, moments) in moments.iter_mut().enumerate() {
+                    for i in 0..=2 * nodes_away {
+                        let offset = i as f64 - nodes_away as f64;
+                        let [sum, first, second] = columns[(j + nodes + i - nodes_away) % nodes];
+                        moments.sum += sum;
+                        moments.along[0] += first;
+                        moments.along[1] += second;
+                        moments.around[0] += offset * sum;
+                        moments.around[1] += offset * offset * sum;
+                    }
+                }
+            },
+        );
         moments
     }
 
     /// The variance of a plane through the echoes at the node, relative to that at their centre: 1 among echoes, 4 at a
     /// straight edge of them, more beyond it.
-    fn leverage(&self, node: usize) -> f64 {
-        let sum = self.sums[node];
+    fn leverage(&self) -> f64 {
         // The variance of an echo's place within its cell.
         let cell = 1.0 / 12.0;
         let offset = |[first, second]: [f64; 2]| {
-            let mean = first / sum;
-            mean * mean / (second / sum - mean * mean + cell)
+            let mean = first / self.sum;
+            mean * mean / (second / self.sum - mean * mean + cell)
         };
-        1.0 + offset(self.along[node]) + offset(self.around[node])
+        1.0 + offset(self.along) + offset(self.around)
     }
 }

@@ -11,6 +11,7 @@ use lumenmesh::low_level::cylinders::passes::{Face, Gate, Section, TubeTransform
 use lumenmesh::low_level::numerics::Scalar;
 use lumenmesh::recording::{CylinderModel, Frame, Recording};
 use lumenmesh::settings::{Merge, Outliers, Settings, Statistic};
+use lumenmesh::study::bench::Case;
 use lumenmesh::surface::Surface;
 use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::Triangle;
@@ -263,8 +264,28 @@ fn the_number_of_threads_changes_no_byte() {
             (std::fs::read(mesh).unwrap(), std::fs::read(cylinders).unwrap())
         };
         let one = bytes(1);
-        for threads in [2, 8] {
+        for threads in [2, 3, 8] {
             assert!(bytes(threads) == one, "{threads} threads, {name}");
+        }
+    }
+}
+
+/// A tube that every step of the fit is split over threads for.
+#[test]
+fn the_number_of_threads_changes_no_bit_of_a_large_tube() {
+    let case: Case = "300x200x4e5".parse().unwrap();
+    let (section, settings) = (case.section(5), case.settings());
+    let fit = |engine: &dyn Engine, threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let tube = pool.install(|| engine.fit_section(&section, 12.0, &settings)).unwrap().tube;
+        let bits = |values: &[f64]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        (bits(&tube.radii_mm), bits(&tube.residual_mm), bits(&tube.travel_mm), tube.support, tube.rejected)
+    };
+    for engine in [&CpuEngine::<f32>::new() as &dyn Engine, &CpuEngine::<f64>::new()] {
+        let one = fit(engine, 1);
+        assert!(one.4 > 0);
+        for threads in [2, 3, 8] {
+            assert!(fit(engine, threads) == one, "{threads} threads");
         }
     }
 }

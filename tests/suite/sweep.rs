@@ -155,10 +155,17 @@ fn a_narrow_bent_vessel_is_found_in_spikes_and_in_noise() {
 fn the_order_of_frames_hardly_matters_and_the_number_of_threads_not_at_all() {
     let settings = simulate::SimulationSettings::default().with_insertion(Insertion::steady());
     let recording = simulated("arch", &settings).recording;
-    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let five = rayon::ThreadPoolBuilder::new().num_threads(5).build().unwrap();
-    let surface = one.install(|| surface(&recording));
-    assert!(same(&surface, &five.install(|| self::surface(&recording))));
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let sweep = pool.install(|| swept(&recording));
+        let numbers = [&sweep.radii_mm, &sweep.support.residual_mm, &sweep.support.standard_error_mm];
+        (numbers.map(|x| x.iter().map(|x| x.to_bits()).collect::<Vec<_>>()), sweep)
+    };
+    let (bits, sweep) = on(1);
+    for threads in [2, 3, 8] {
+        assert!(on(threads).0 == bits, "{threads} threads");
+    }
+    let surface = sweep.surface(false);
 
     // Every 7th frame, then every 7th from the second on, …
     let count = recording.frames.len();

@@ -1,6 +1,6 @@
 //! The fit on the CPU: f32 as the device computes it, or f64 as the reference.
 
-use super::groups::{Groups, group};
+use super::groups::{Groups, converted_and_grouped};
 use super::sealed::Sealed;
 use super::{
     DeformedTube, Engine, EngineDescription, Fit, FitRequest, FittedCylinder, SectionFit, check_section,
@@ -45,7 +45,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         let fit = |&frame: &usize| {
             let cylinder = request.track.cylinder(frame)?;
             let section = request.track.section::<T>(frame, request.settings)?;
-            let tube = deform(&section, cylinder.radius_mm, request.settings, request.history);
+            let tube = deform::<_, T>(&section, cylinder.radius_mm, request.settings, request.history);
             Ok(FittedCylinder { frame, world_from_cylinder: cylinder.world_from_cylinder, tube })
         };
         let fitted: Vec<Result<FittedCylinder>> = request
@@ -63,25 +63,18 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     fn fit_section(&self, section: &Section<f32>, radius_mm: f64, settings: &Settings) -> Result<SectionFit> {
         settings.validate()?;
         check_section(section, radius_mm)?;
-        let convert = |values: &[f32]| values.iter().map(|&x| T::from_f64(x.to_f64())).collect();
-        let section = Section {
-            r: convert(&section.r),
-            theta: convert(&section.theta),
-            z: convert(&section.z),
-            gated: section.gated,
-        };
-        Ok(SectionFit { tube: deform(&section, radius_mm, settings, false), engine: self.describe() })
+        Ok(SectionFit { tube: deform::<_, T>(section, radius_mm, settings, false), engine: self.describe() })
     }
 }
 
 /// The whole fit of one tube (docs/method.md, "Local cylinder fit").
-fn deform<T: Scalar>(
-    section: &Section<T>,
+fn deform<S: Scalar, T: Scalar>(
+    section: &Section<S>,
     radius_mm: f64,
     settings: &Settings,
     history: bool,
 ) -> DeformedTube {
-    let mut deformation = Deformation::new(section, radius_mm, settings, history);
+    let mut deformation = Deformation::<T>::of(section, radius_mm, settings, history);
     for _ in 0..settings.iterations {
         deformation.iterate();
     }
@@ -111,9 +104,15 @@ pub(super) struct Deformation<T> {
 
 impl<T: Scalar> Deformation<T> {
     /// Groups a section's points about the primitive tube.
+    #[cfg(feature = "gpu")]
     pub(super) fn new(section: &Section<T>, radius_mm: f64, settings: &Settings, history: bool) -> Self {
+        Self::of(section, radius_mm, settings, history)
+    }
+
+    /// Groups a section's points about the primitive tube; numbers of another type are rounded first.
+    fn of<S: Scalar>(section: &Section<S>, radius_mm: f64, settings: &Settings, history: bool) -> Self {
         let tube = Tube::new(settings);
-        let groups = group(section, &tube);
+        let groups = converted_and_grouped(section, &tube);
         let radii = vec![T::from_f64(radius_mm); tube.node_count()];
         Self {
             tube,

@@ -3,23 +3,41 @@
 use super::TriangleStatistic;
 use crate::cylinders::tube::Tube;
 use crate::numerics::Scalar;
+use rayon::prelude::*;
+
+/// Values per parallel task: fewer do not pay for a thread.
+const TASK: usize = 32_768;
 
 /// The value of every triangle, mm: its own statistic's, or the mean over its edge neighbours where no distance was
 /// kept. Bottom triangles are filled first (an empty neighbour counts 0), then top ones (from filled bottom ones).
 /// The values are in the order in which [`Tube`] numbers its triangles: bottom ones, then top ones.
 pub fn fill<T: Scalar>(statistics: &[TriangleStatistic<T>], tube: &Tube, values: &mut Vec<T>) {
     let faces = tube.face_count();
-    values.clear();
-    values.extend(statistics.iter().map(|s| s.value));
-    for face in (0..faces).filter(|&f| statistics[f].kept == 0) {
-        let ([first, second], third) = tube.bottom_neighbours(face);
-        let [a, b] = [values[faces + first], values[faces + second]];
-        values[face] = mean(a, b, third.map(|t| values[faces + t]));
-    }
-    for face in (0..faces).filter(|&f| statistics[faces + f].kept == 0) {
-        let ([first, second], third) = tube.top_neighbours(face);
-        let [a, b] = [values[first], values[second]];
-        values[faces + face] = mean(a, b, third.map(|t| values[t]));
+    values.resize(2 * faces, T::default());
+    for_tasks(values, |first, values| {
+        let statistics = &statistics[first..first + values.len()];
+        values.iter_mut().zip(statistics).for_each(|(value, s)| *value = s.value);
+    });
+    let (bottoms, tops) = values.split_at_mut(faces);
+    for_tasks(bottoms, |first, bottoms| {
+        for (face, value) in (first..).zip(bottoms).filter(|(face, _)| statistics[*face].kept == 0) {
+            let ([first, second], third) = tube.bottom_neighbours(face);
+            *value = mean(tops[first], tops[second], third.map(|t| tops[t]));
+        }
+    });
+    for_tasks(tops, |first, tops| {
+        for (face, value) in (first..).zip(tops).filter(|(face, _)| statistics[faces + *face].kept == 0) {
+            let ([first, second], third) = tube.top_neighbours(face);
+            *value = mean(bottoms[first], bottoms[second], third.map(|t| bottoms[t]));
+        }
+    });
+}
+
+/// Calls `work` with runs of values and the place of the first of each.
+fn for_tasks<T: Send>(values: &mut [T], work: impl Fn(usize, &mut [T]) + Sync) {
+    match values.len() <= TASK {
+        true => work(0, values),
+        false => values.par_chunks_mut(TASK).enumerate().for_each(|(task, run)| work(task * TASK, run)),
     }
 }
 

@@ -55,6 +55,16 @@ impl<T: Scalar> TubeGrid<T> {
         let node = (theta * self.faces_per_rad).floor_to_u32().min(self.nodes - 1);
         (level, node)
     }
+
+    /// A point, r (mm), θ (rad) and z (mm), from corner a of its face.
+    #[inline(always)]
+    pub fn from_corner(&self, [r, theta, z]: [T; 3], level: u32, node: u32) -> [T; 3] {
+        [
+            r,
+            theta - T::from_count(node) * self.step_theta,
+            (z + self.half_height) - T::from_count(level) * self.step_z,
+        ]
+    }
 }
 
 /// Which points of a tube count: |z| up to half the height, r between two bounds, all in mm.

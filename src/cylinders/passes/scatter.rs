@@ -20,10 +20,7 @@ pub fn scatter<T: Scalar>(
         }
         let face = face_of_all % faces;
         let (level, node) = (face / grid.nodes, face % grid.nodes);
-        grouped[(offsets[face_of_all as usize] + place) as usize] = [
-            r,
-            theta - T::from_count(node) * grid.step_theta,
-            (z + grid.half_height) - T::from_count(level) * grid.step_z,
-        ];
+        grouped[(offsets[face_of_all as usize] + place) as usize] =
+            grid.from_corner([r, theta, z], level, node);
     }
 }

@@ -88,7 +88,8 @@ impl LiveSweep {
         let radius_mm = self.contours.value();
         if let Some(vessel) = &mut self.vessel {
             vessel.grid.arc_mm = TAU * radius_mm / vessel.grid.nodes as f64;
-            return vessel.push(&placed);
+            // On a thread of the pool, so that none of the many short tasks has to be handed over to it.
+            return rayon::scope(|_| vessel.push(&placed));
         }
         self.waiting.push(placed);
         if self.waiting.len() > MAX_WAITING {

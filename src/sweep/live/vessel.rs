@@ -14,9 +14,11 @@ use crate::sweep::prepare::contour::Outline;
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::WallGrid;
 use crate::sweep::support::{Support, Tally, is_in_reach, max_error_mm};
+use crate::sweep::wall::bending::LocalSmoothness;
 use crate::sweep::wall::equations::Equations;
+use crate::sweep::wall::operator::Operator;
 use crate::sweep::wall::residual::ResidualModel;
-use crate::sweep::wall::solver::{Solver, System};
+use crate::sweep::wall::solver::{System, solve};
 use glam::{DMat3, DVec3};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -91,7 +93,6 @@ pub(super) struct GrowingVessel {
     origin_mm: f64,
     pub axis: Axis,
     pub grid: WallGrid,
-    solver: Solver,
     roughness: f64,
     half_life_s: Option<f64>,
     pub radii_mm: Vec<f64>,
@@ -127,7 +128,6 @@ impl GrowingVessel {
             origin_mm: 0.0,
             axis: Axis { points_mm, frames, step_mm },
             grid: WallGrid { rings: 0, ..grid },
-            solver: Solver::new(grid),
             roughness: settings.sweep.roughness,
             half_life_s: settings.sweep.half_life_s,
             radii_mm: Vec::new(),
@@ -508,13 +508,11 @@ impl GrowingVessel {
         }
         let x = &self.radii_mm[solved.start * nodes..solved.end * nodes];
         let free = window.start - solved.start..window.end - solved.start;
-        let equations = equations.of_change(&grid, smoothness, x, free.clone());
+        let mut product = vec![0.0; x.len()];
+        Operator::of(&equations, &grid, smoothness, LocalSmoothness::EVEN).apply(x, &mut product);
+        let equations = equations.of_change(&grid, smoothness, &product, free.clone());
         let mut change = vec![0.0; x.len()];
-        self.solver.over(grid, MAX_STEPS).solve(
-            &System::plain(&equations, smoothness),
-            SOLVED_SHARE,
-            &mut change,
-        )?;
+        solve(&grid, &System::plain(&equations, smoothness), SOLVED_SHARE, MAX_STEPS, &mut change)?;
         for ring in free {
             let travel = &change[ring * nodes..(ring + 1) * nodes];
             let ring = ring + solved.start;

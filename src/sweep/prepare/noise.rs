@@ -3,6 +3,7 @@
 use crate::numerics::robust::{SD_PER_MAD, median};
 use crate::recording::echo_error::angle_jumps_mm;
 use glam::DVec2;
+use rayon::prelude::*;
 
 /// Standard deviation of the noise along the wall in units of the median [angle jump](angle_jumps_mm): jumps have six
 /// times its variance.
@@ -10,7 +11,7 @@ pub(in crate::sweep) const TANGENTIAL_PER_JUMP: f64 = SD_PER_MAD / 2.449_489_742
 
 /// Standard deviation of the contours' noise along the wall, mm.
 pub(in crate::sweep) fn tangential_noise_mm(contours_mm: &[&[DVec2]]) -> f64 {
-    let jumps = contours_mm.iter().flat_map(|contour_mm| angle_jumps_mm(contour_mm));
+    let jumps = contours_mm.par_iter().flat_map_iter(|contour_mm| angle_jumps_mm(contour_mm));
     TANGENTIAL_PER_JUMP * median(&mut jumps.collect::<Vec<_>>())
 }
 

@@ -15,7 +15,7 @@ use crate::sweep::wall::bending::LocalSmoothness;
 use crate::sweep::wall::equations::Equations;
 use crate::sweep::wall::fit::Wall;
 use crate::sweep::wall::residual::gate;
-use crate::sweep::wall::solver::{Solver, System};
+use crate::sweep::wall::solver::{MAX_STEPS, System, solve};
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -67,7 +67,6 @@ struct EchoEquation {
 /// The model about a wall.
 pub(super) struct Joint<'a> {
     grid: &'a WallGrid,
-    solver: &'a Solver,
     /// Frame by frame.
     equations: Vec<EchoEquation>,
     /// First equation of each frame, and the end.
@@ -104,7 +103,7 @@ impl<'a> Joint<'a> {
     /// The model about `wall`, for echoes with their projections on it. `sensors` are the poses that the echoes were placed
     /// with, `errors` the corrections that were subtracted from the recorded ones.
     pub(super) fn about(
-        (grid, solver): (&'a WallGrid, &'a Solver),
+        grid: &'a WallGrid,
         axis: &Axis,
         echoes: &[Echo],
         wall: &Wall,
@@ -173,7 +172,7 @@ impl<'a> Joint<'a> {
             })
             .collect();
         let turn = (DEGREES_PER_MM.to_radians() * radius_mm).powi(2);
-        Self { grid, solver, equations, starts, information, shape: [1.0, 1.0, 1.0, turn, turn, turn] }
+        Self { grid, equations, starts, information, shape: [1.0, 1.0, 1.0, turn, turn, turn] }
     }
 
     /// Fits radii and errors and estimates the noise levels from them, `times` times in turn; λ = (σ/τ)² follows.
@@ -295,16 +294,14 @@ impl<'a> Joint<'a> {
             }
         };
         let noise_mm = self.grid.smoothed_noise_mm(levels.noise_mm, roughness);
-        let per_frame = self.equations.len() as f64 / self.information.len() as f64 / 2.0;
         let system = System {
             equations: &equations,
             smoothness_mm2: (noise_mm / roughness).powi(2),
             local,
             coupling: &coupling,
-            first_harmonic: 1.0 / (1.0 + per_frame * (levels.shift_mm / levels.noise_mm).powi(2)),
         };
         let tolerance = (1e-3 * levels.noise_mm / self.grid.radius_mm()).max(1e-10);
-        Ok(self.solver.solve(&system, tolerance, x)?.steps)
+        Ok(solve(self.grid, &system, tolerance, MAX_STEPS, x)?.steps)
     }
 
     /// σ, from the median of the residuals, corrected for the degrees of freedom of the errors.

@@ -12,7 +12,6 @@ use crate::sweep::prepare::Prepared;
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::wall::engine::refit;
 use crate::sweep::wall::fit::Wall;
-use crate::sweep::wall::solver::Solver;
 use crate::{Error, Result};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use joint::{BendingPrior, Joint, Motion, NoiseLevels, Offset, Twist, corrected, split};
@@ -85,7 +84,7 @@ impl Tracker {
             return Ok(None);
         }
         let Prepared { grid, frames, .. } = prepared;
-        let estimator = Estimator { prepared, solver: Solver::new(*grid), roughness: settings.roughness };
+        let estimator = Estimator { prepared, roughness: settings.roughness };
         let mut sensors = prepared.sensors();
         let mut report = Self::default();
         if settings.estimate_offset {
@@ -141,7 +140,7 @@ fn improves_held_out(prepared: &Prepared, roughness: f64, sensors: &[Pose], wall
     };
     let (used, others) = (every_second(0), every_second(1));
     let (used, others) = (prepared.with_contours(&used), prepared.with_contours(&others));
-    let estimator = Estimator { prepared: &used, solver: Solver::new(used.grid), roughness };
+    let estimator = Estimator { prepared: &used, roughness };
     let mut echoes = used.echoes(sensors);
     estimator.project(&mut echoes, wall);
     let as_recorded = refit(&used.grid, &mut echoes, roughness, wall.clone())?;
@@ -163,7 +162,6 @@ fn improves_held_out(prepared: &Prepared, roughness: f64, sensors: &[Pose], wall
 /// Estimates the errors of a recording's poses.
 struct Estimator<'a> {
     prepared: &'a Prepared<'a>,
-    solver: Solver,
     roughness: f64,
 }
 
@@ -199,7 +197,7 @@ impl Estimator<'_> {
         let mut solver_steps = 0;
         wall.out_of_plane = CONTOUR_OUT_OF_PLANE;
         for round in 0..MAX_ROUNDS {
-            let joint = Joint::about((grid, &self.solver), axis, &echoes, &wall, &now, &errors, along);
+            let joint = Joint::about(grid, axis, &echoes, &wall, &now, &errors, along);
             let fit = joint.fit(levels, FITS, self.roughness, &mut prior, &mut wall.radii_mm)?;
             let mut is_offset_left = false;
             if motions.is_some() {

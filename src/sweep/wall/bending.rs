@@ -3,55 +3,6 @@
 use crate::sweep::prepare::grid::WallGrid;
 
 impl WallGrid {
-    /// Adds the gradient of the bending energy `½ ∫ r_ss² + 2 r_sθ² + r_θθ² dA` at `x`, times `weight` and the rings'
-    /// `local` factors, to `out`.
-    ///
-    /// Second differences along the axis are left out on the end rings: the ends are free, so a cone has no bending energy.
-    pub(in crate::sweep) fn add_bending(
-        &self,
-        x: &[f64],
-        weight: f64,
-        local: &LocalSmoothness,
-        out: &mut [f64],
-    ) {
-        let Self { rings, nodes, step_mm, arc_mm } = *self;
-        let area = self.cell_mm2() * weight;
-        let along = area / step_mm.powi(4);
-        let around = area / arc_mm.powi(4);
-        let twist = 2.0 * area / (step_mm * arc_mm).powi(2);
-        let next = |j: usize| if j + 1 == nodes { 0 } else { j + 1 };
-        let mut bend = vec![0.0; nodes];
-        for k in 0..rings {
-            let row = k * nodes;
-            let [along, around, twist] = [along, around, twist].map(|weight| weight * local.factor(k));
-            if k >= 1 && k + 1 < rings {
-                for i in row..row + nodes {
-                    let d = along * (x[i - nodes] - 2.0 * x[i] + x[i + nodes]);
-                    out[i - nodes] += d;
-                    out[i] -= 2.0 * d;
-                    out[i + nodes] += d;
-                }
-            }
-            let ring = &x[row..row + nodes];
-            let before = |j: usize| if j == 0 { nodes - 1 } else { j - 1 };
-            for j in 0..nodes {
-                bend[j] = around * (ring[before(j)] - 2.0 * ring[j] + ring[next(j)]);
-            }
-            for j in 0..nodes {
-                out[row + j] += bend[before(j)] - 2.0 * bend[j] + bend[next(j)];
-            }
-            if k + 1 < rings {
-                for j in 0..nodes {
-                    let (a, b) = (row + j, row + next(j));
-                    let d = twist * (x[b + nodes] - x[a + nodes] - x[b] + x[a]);
-                    out[b + nodes] += d;
-                    out[a + nodes] -= d;
-                    out[b] -= d;
-                    out[a] += d;
-                }
-            }
-        }
-    }
     /// `∫ |bending|² dA` over each ring.
     fn ring_energies(&self, x: &[f64]) -> Vec<f64> {
         let Self { rings, nodes, step_mm, arc_mm } = *self;
@@ -87,6 +38,12 @@ impl LocalSmoothness {
         self.0.get(ring).copied().unwrap_or(1.0)
     }
 
+    /// The factors of `to` evenly spaced rings over the same length as these `from`.
+    pub(in crate::sweep) fn resampled(&self, from: usize, to: usize) -> Self {
+        let nearest = |k: usize| (k as f64 * (from - 1) as f64 / (to - 1) as f64).round() as usize;
+        Self(if self.0.is_empty() { Vec::new() } else { (0..to).map(|k| self.factor(nearest(k))).collect() })
+    }
+
     /// The factors for a wall with these radii: real vessels do not bend evenly.
     ///
     /// Under a normal prior with the roughness τ, the expected `∫ |bending|²` is τ² for each degree of freedom. Under
@@ -115,18 +72,6 @@ mod tests {
     use super::*;
 
     const GRID: WallGrid = WallGrid { rings: 6, nodes: 8, step_mm: 1.3, arc_mm: 0.9 };
-
-    #[test]
-    fn a_cone_bends_nowhere() {
-        let cone: Vec<f64> = (0..48).map(|i| 5.0 + 0.3 * f64::from(i / 8)).collect();
-        let mut bending = vec![0.0; 48];
-        GRID.add_bending(&cone, 7.0, LocalSmoothness::EVEN, &mut bending);
-        assert!(bending.iter().all(|b| b.abs() < 1e-9), "{bending:?}");
-        let mut dented = cone;
-        dented[20] += 1.0;
-        GRID.add_bending(&dented, 7.0, LocalSmoothness::EVEN, &mut bending);
-        assert!(bending[20] > 1.0);
-    }
 
     #[test]
     fn smoothness_is_lower_where_a_wall_bends() {

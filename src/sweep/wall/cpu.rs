@@ -3,9 +3,9 @@
 use super::equations::Equations;
 use super::fit::{Reweighting, Solution, Wall, WallEngine};
 use super::residual::{TASK, gate};
-use super::solver::{Solver, System};
+use super::solver::{MAX_STEPS, System, solve};
 use crate::Result;
-use crate::numerics::robust::{huber_weight, median};
+use crate::numerics::robust::{huber_weight, median_size};
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::WallGrid;
 use rayon::prelude::*;
@@ -14,13 +14,12 @@ use rayon::prelude::*;
 pub(super) struct CpuWallEngine<'a> {
     grid: &'a WallGrid,
     echoes: &'a mut [Echo],
-    solver: Solver,
     wall: Wall,
 }
 
 impl<'a> CpuWallEngine<'a> {
     pub(super) fn new(grid: &'a WallGrid, echoes: &'a mut [Echo], wall: Wall) -> Self {
-        Self { grid, echoes, solver: Solver::new(*grid), wall }
+        Self { grid, echoes, wall }
     }
 
     fn equations(&mut self, warm_up: bool) -> Equations {
@@ -50,9 +49,7 @@ impl<'a> CpuWallEngine<'a> {
                 sums
             })
             .collect();
-        let mut whole = Equations::over(grid, 0..grid.rings);
-        parts.iter().for_each(|part| whole.merge(part));
-        whole
+        Equations::sum(grid, &parts)
     }
 }
 
@@ -60,7 +57,7 @@ impl WallEngine for CpuWallEngine<'_> {
     fn measure(&mut self, noise_mm: f64, project: bool) -> Result<f64> {
         self.wall.noise_mm = noise_mm;
         self.wall.residual_model(self.grid).measure_all(self.echoes, project);
-        Ok(median(&mut self.echoes.iter().map(|e| e.residual_mm.abs()).collect::<Vec<_>>()))
+        Ok(median_size(self.echoes.par_iter().map(|echo| echo.residual_mm)))
     }
 
     fn solve(&mut self, reweighting: &Reweighting) -> Result<Solution> {
@@ -69,9 +66,12 @@ impl WallEngine for CpuWallEngine<'_> {
         let radii_mm = &mut self.wall.radii_mm;
         let before = radii_mm.clone();
         let system = System::plain(&equations, reweighting.smoothness_mm2);
-        let solved = self.solver.solve(&system, reweighting.tolerance, radii_mm)?;
-        let travel = before.iter().zip(&*radii_mm).map(|(a, b)| (a - b).abs()).sum::<f64>();
-        Ok(Solution { travel_mm: travel / before.len() as f64, solved })
+        let solved = solve(self.grid, &system, reweighting.tolerance, MAX_STEPS, radii_mm)?;
+        let travels = before.iter().zip(&*radii_mm).map(|(a, b)| (a - b).abs());
+        let [travel, weight] = travels
+            .zip(equations.rows())
+            .fold([0.0; 2], |[travel, weight], (t, row)| [travel + row[0] * t, weight + row[0]]);
+        Ok(Solution { travel_mm: travel / weight.max(f64::MIN_POSITIVE), solved })
     }
 
     fn finish(self) -> Result<Vec<f64>> {

@@ -13,9 +13,9 @@ use crate::sweep::prepare::grid::WallGrid;
 /// CPU time of an echo in a reweighting and of a node in a step of the solver, in seconds, about twice that of a server
 /// processor; reweightings, and steps in each. They affect the choice of [`Backend::Auto`], but no result.
 const SECONDS_PER_ECHO: f64 = 200e-9;
-const SECONDS_PER_NODE: f64 = 50e-9;
+const SECONDS_PER_NODE: f64 = 80e-9;
 const USUAL_ITERATIONS: f64 = 8.0;
-const USUAL_STEPS: f64 = 15.0;
+const USUAL_STEPS: f64 = 8.0;
 
 /// Fits the wall on the backend of the settings.
 pub(in crate::sweep) fn fit(
@@ -40,9 +40,9 @@ pub(in crate::sweep) fn fit(
             Ok((wall, EngineDescription { name: "reference".into(), ..engine }))
         }
         Backend::Auto => {
-            let of_echoes = echoes.len() as f64 * SECONDS_PER_ECHO / rayon::current_num_threads() as f64;
+            let of_echoes = echoes.len() as f64 * SECONDS_PER_ECHO;
             let of_nodes = grid.node_count() as f64 * SECONDS_PER_NODE * USUAL_STEPS;
-            let cpu_seconds = USUAL_ITERATIONS * (of_echoes + of_nodes);
+            let cpu_seconds = USUAL_ITERATIONS * (of_echoes + of_nodes) / rayon::current_num_threads() as f64;
             if cpu_seconds < WORTH_A_DEVICE_S {
                 let why = format!(
                     "the work is about {} ms on the CPU, less than starting a device takes",

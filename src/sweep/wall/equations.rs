@@ -1,9 +1,11 @@
 //! The least-squares equations of a wall.
 
-use super::bending::LocalSmoothness;
 use crate::sweep::prepare::grid::{Corners, WallGrid};
+use rayon::prelude::*;
 use std::ops::Range;
 
+/// Nodes per parallel task of a sum.
+const TASK_NODES: usize = 4096;
 /// Stiffness of fixed nodes, in units of the largest other one.
 const FIXED_STIFFNESS: f64 = 1e6;
 
@@ -42,13 +44,19 @@ impl Equations {
 
     /// Adds the sums of other points on the nodes that are covered here.
     pub(in crate::sweep) fn merge(&mut self, other: &Self) {
-        let skipped = self.first.saturating_sub(other.first).min(other.rows.len());
-        let shift = (other.first + skipped).saturating_sub(self.first).min(self.rows.len());
-        for (mine, theirs) in self.rows[shift..].iter_mut().zip(&other.rows[skipped..]) {
-            for (a, b) in mine.iter_mut().zip(theirs) {
-                *a += b;
+        add_rows(&mut self.rows, self.first, &other.rows, other.first);
+    }
+
+    /// The sums of parts, over all rings of a grid: node by node in the order of the parts.
+    pub(in crate::sweep) fn sum(grid: &WallGrid, parts: &[Self]) -> Self {
+        let mut whole = Self::over(grid, 0..grid.rings);
+        whole.rows.par_chunks_mut(TASK_NODES).enumerate().for_each(|(task, rows)| {
+            let first = task * TASK_NODES;
+            for part in parts {
+                add_rows(rows, first, &part.rows, part.first);
             }
-        }
+        });
+        whole
     }
 
     /// The sums of every node.
@@ -66,17 +74,15 @@ impl Equations {
         self.first += nodes;
     }
 
-    /// The equations for the change of `x` on the rings `free` with all others fixed.
+    /// The equations for the change of values on the rings `free` with all others fixed; `product` is that of their
+    /// matrix with the values, bending included.
     pub(in crate::sweep) fn of_change(
         mut self,
         grid: &WallGrid,
         smoothness: f64,
-        x: &[f64],
+        product: &[f64],
         free: Range<usize>,
     ) -> Self {
-        let mut product = vec![0.0; x.len()];
-        self.apply(grid, x, &mut product);
-        grid.add_bending(x, smoothness, LocalSmoothness::EVEN, &mut product);
         let bending = smoothness * grid.cell_mm2() * (grid.step_mm.powi(-4) + grid.arc_mm.powi(-4));
         let stiff = FIXED_STIFFNESS * (bending + self.rows.iter().fold(0.0, |max: f64, row| max.max(row[0])));
         for (node, (row, product)) in self.rows.iter_mut().zip(product).enumerate() {
@@ -88,33 +94,14 @@ impl Equations {
         }
         self
     }
+}
 
-    /// `out = (points' couplings)·x`.
-    pub(in crate::sweep) fn apply(&self, grid: &WallGrid, x: &[f64], out: &mut [f64]) {
-        out.fill(0.0);
-        let nodes = grid.nodes;
-        for k in 0..grid.rings {
-            for j in 0..nodes {
-                let a = k * nodes + j;
-                let [own, along, across, diagonal, _] = self.rows[a];
-                let b = if j + 1 == nodes { k * nodes } else { a + 1 };
-                let mut sum = own * x[a] + along * x[b];
-                out[b] += along * x[a];
-                if k + 1 < grid.rings {
-                    sum += across * x[a + nodes] + diagonal * x[b + nodes];
-                    out[a + nodes] += across * x[a];
-                    out[b + nodes] += diagonal * x[a];
-                }
-                out[a] += sum;
-            }
-        }
-    }
-
-    /// Total weight of the points on each ring.
-    pub(in crate::sweep) fn ring_weights(&self, grid: &WallGrid) -> Vec<f64> {
-        let mut weights = vec![0.0; self.rows.len()];
-        self.apply(grid, &vec![1.0; self.rows.len()], &mut weights);
-        weights.chunks_exact(grid.nodes).map(|ring| ring.iter().sum()).collect()
+/// Adds the rows of the nodes from `first_other` on to those from `first` on, where both have the node.
+fn add_rows(rows: &mut [[f64; 5]], first: usize, others: &[[f64; 5]], first_other: usize) {
+    let skipped = first.saturating_sub(first_other).min(others.len());
+    let shift = (first_other + skipped).saturating_sub(first).min(rows.len());
+    for (row, other) in rows[shift..].iter_mut().zip(&others[skipped..]) {
+        row.iter_mut().zip(other).for_each(|(a, b)| *a += b);
     }
 }
 
@@ -134,5 +121,6 @@ mod tests {
         let mut whole = Equations::over(&GRID, 0..GRID.rings);
         whole.add(&corners, 2.0, 3.0);
         assert_eq!(parts.rows, whole.rows);
+        assert_eq!(Equations::sum(&GRID, &[some]).rows, whole.rows);
     }
 }

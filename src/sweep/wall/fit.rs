@@ -27,12 +27,12 @@ pub(in crate::sweep) struct Wall {
 /// Iterations without projections and gate, until the wall has its shape.
 const WARM_UP_ITERATIONS: usize = 3;
 const MAX_ITERATIONS: usize = 15;
-/// The fit ends when the nodes move by at most this share of the noise on average, or …
+/// The fit ends when the nodes under echoes move by at most this share of the noise on average, or …
 const ENOUGH_NOISE_SHARE: f64 = 0.01;
 /// … by this many radii.
 const ENOUGH_RADII: f64 = 1e-6;
 /// Share of the noise to which the equations are solved, and of the radius at least.
-const SOLVED_NOISE_SHARE: f64 = 1e-3;
+const SOLVED_NOISE_SHARE: f64 = 1e-4;
 const SOLVED_RADII: f64 = 1e-10;
 
 /// The parameters of one reweighting.
@@ -51,7 +51,8 @@ pub(in crate::sweep) struct Reweighting {
 /// The result of one reweighting.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::sweep) struct Solution {
-    /// Mean displacement of the nodes, mm.
+    /// Mean displacement of the nodes, mm, each weighted by the diagonal of the echoes' equations: what the wall does where
+    /// nothing was measured must not keep the fit going.
     pub travel_mm: f64,
     pub solved: Solved,
 }

@@ -7,9 +7,12 @@ pub(in crate::sweep) mod equations;
 pub(in crate::sweep) mod fit;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod multigrid;
 #[cfg(feature = "gpu")]
 mod on_device;
+pub(in crate::sweep) mod operator;
 pub mod passes;
+#[cfg(feature = "gpu")]
 mod preconditioner;
 pub(in crate::sweep) mod residual;
 pub(in crate::sweep) mod solver;

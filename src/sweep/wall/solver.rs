@@ -2,12 +2,14 @@
 
 use super::bending::LocalSmoothness;
 use super::equations::Equations;
-use crate::numerics::banded::Factored;
+use super::multigrid::Multigrid;
+use super::operator::Operator;
 use crate::sweep::prepare::grid::WallGrid;
 use crate::{Error, Result};
-use realfft::num_complex::Complex64;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
-use std::sync::Arc;
+use rayon::prelude::*;
+
+/// Adds the product of couplings with a vector to the second argument.
+type Coupling<'a> = dyn Fn(&[f64], &mut [f64]) + Sync + 'a;
 
 /// The system to solve: points, smoothness, and further couplings between nodes.
 pub(in crate::sweep) struct System<'a> {
@@ -16,29 +18,14 @@ pub(in crate::sweep) struct System<'a> {
     pub smoothness_mm2: f64,
     pub local: &'a LocalSmoothness,
     /// Adds the product of further couplings with x to the second argument.
-    pub coupling: &'a dyn Fn(&[f64], &mut [f64]),
-    /// Share of the points' weight that these couplings leave to the first harmonic of a ring, for the preconditioner.
-    pub first_harmonic: f64,
+    pub coupling: &'a Coupling<'a>,
 }
 
 impl<'a> System<'a> {
     /// Points and even smoothness only.
     pub(in crate::sweep) fn plain(equations: &'a Equations, smoothness_mm2: f64) -> Self {
-        let local = LocalSmoothness::EVEN;
-        Self { equations, smoothness_mm2, local, coupling: &|_, _| (), first_harmonic: 1.0 }
+        Self { equations, smoothness_mm2, local: LocalSmoothness::EVEN, coupling: &|_, _| () }
     }
-}
-
-/// The minimum of `Σ w (x - y)² + λ ∫ |bending|² dA` over the values at a grid's nodes.
-///
-/// Matrix-free conjugate gradients. The preconditioner is the same problem with the weights of each ring spread evenly
-/// over it: a Fourier transform about the axis separates it into one pentadiagonal system per frequency. It inverts the
-/// bending term exactly, so the number of steps hardly depends on the number of nodes.
-pub(in crate::sweep) struct Solver {
-    grid: WallGrid,
-    forward: Arc<dyn RealToComplex<f64>>,
-    backward: Arc<dyn ComplexToReal<f64>>,
-    max_steps: usize,
 }
 
 /// How conjugate gradients ended.
@@ -52,144 +39,89 @@ pub(in crate::sweep) struct Solved {
 /// Largest number of steps of conjugate gradients.
 pub(in crate::sweep) const MAX_STEPS: usize = 100;
 
-impl Solver {
-    pub(in crate::sweep) fn new(grid: WallGrid) -> Self {
-        let mut planner = RealFftPlanner::new();
-        let (forward, backward) =
-            (planner.plan_fft_forward(grid.nodes), planner.plan_fft_inverse(grid.nodes));
-        Self { grid, forward, backward, max_steps: MAX_STEPS }
-    }
+/// Numbers of a vector per parallel task: a fixed number, so that sums do not depend on the number of threads.
+const TASK: usize = 8192;
 
-    /// A solver over another grid with the same number of nodes per ring, with at most `max_steps` steps.
-    pub(in crate::sweep) fn over(&self, grid: WallGrid, max_steps: usize) -> Self {
-        let (forward, backward) = (self.forward.clone(), self.backward.clone());
-        Self { grid, forward, backward, max_steps }
-    }
+/// The minimum of `Σ w (x - y)² + λ ∫ |bending|² dA` over the values at a grid's nodes: conjugate gradients, preconditioned
+/// by a [`Multigrid`] cycle.
+///
+/// Improves `x` until the residual is `tolerance` times that of `x = 0`, or `max_steps` run out.
+///
+/// # Errors
+/// [`Error::Solver`] where the equations are not positive definite or hold numbers that are not finite.
+pub(in crate::sweep) fn solve(
+    grid: &WallGrid,
+    system: &System,
+    tolerance: f64,
+    max_steps: usize,
+    x: &mut [f64],
+) -> Result<Solved> {
+    // On a thread of the pool, so that none of the many short tasks has to be handed over to it.
+    rayon::scope(|_| conjugate_gradients(grid, system, tolerance, max_steps, x))
+}
 
-    /// Improves `x` until the residual is `tolerance` times that of `x = 0`, or the steps run out.
-    ///
-    /// # Errors
-    /// [`Error::Solver`] where the equations are not positive definite or hold numbers that are not finite.
-    pub(in crate::sweep) fn solve(&self, system: &System, tolerance: f64, x: &mut [f64]) -> Result<Solved> {
-        let System { equations, smoothness_mm2, local, coupling, .. } = *system;
-        let count = self.grid.node_count();
-        let precondition = self.preconditioner(system)?;
-        let right: Vec<f64> = equations.rows().iter().map(|row| row[4]).collect();
-        let mut product = vec![0.0; count];
-        let apply = |x: &[f64], out: &mut [f64]| {
-            equations.apply(&self.grid, x, out);
-            coupling(x, out);
-            self.grid.add_bending(x, smoothness_mm2, local, out);
-        };
-        apply(x, &mut product);
-        let mut residual: Vec<f64> = right.iter().zip(&product).map(|(b, a)| b - a).collect();
-        let mut z = right;
-        self.precondition(&precondition, &mut z);
-        // In the norm of the preconditioner, which weights a residual by its effect on x.
-        let enough =
-            tolerance * tolerance * dot(&z, &equations.rows().iter().map(|row| row[4]).collect::<Vec<_>>());
-        z.copy_from_slice(&residual);
-        self.precondition(&precondition, &mut z);
-        let mut direction = z.clone();
-        let mut size = dot(&residual, &z);
-        for step in 0..self.max_steps {
-            if size <= enough {
-                return Ok(Solved { steps: step, converged: true });
-            }
-            if !size.is_finite() {
-                return Err(broken("square of the wall equations' residual", size));
-            }
-            apply(&direction, &mut product);
-            let curvature = dot(&direction, &product);
-            if !(curvature.is_finite() && curvature > 0.0) {
-                return Err(broken("curvature of the wall equations", curvature));
-            }
-            let alpha = size / curvature;
-            for i in 0..count {
-                x[i] += alpha * direction[i];
-                residual[i] -= alpha * product[i];
-            }
-            z.copy_from_slice(&residual);
-            self.precondition(&precondition, &mut z);
-            let next = dot(&residual, &z);
-            let beta = next / size;
-            size = next;
-            for i in 0..count {
-                direction[i] = z[i] + beta * direction[i];
-            }
+fn conjugate_gradients(
+    grid: &WallGrid,
+    system: &System,
+    tolerance: f64,
+    max_steps: usize,
+    x: &mut [f64],
+) -> Result<Solved> {
+    let System { equations, smoothness_mm2, local, coupling } = *system;
+    let operator = Operator::of(equations, grid, smoothness_mm2, local);
+    let multigrid = Multigrid::of(&operator)
+        .ok_or_else(|| broken("weight of all echoes on the wall", operator.lumped_weights().iter().sum()))?;
+    let mut room = multigrid.room();
+    let zeros = || vec![0.0; grid.node_count()];
+    let (mut product, mut z, mut direction) = (zeros(), zeros(), zeros());
+    let mut residual: Vec<f64> = equations.rows().iter().map(|row| row[4]).collect();
+    // In the norm of the preconditioner, which weights a residual by its effect on x.
+    multigrid.precondition(&residual, &mut z, &mut room);
+    let enough = tolerance * tolerance * dot(&residual, &z);
+    operator.apply(x, &mut product);
+    coupling(x, &mut product);
+    update(&mut residual, &product, |right, product| right - product);
+    let mut size = 0.0;
+    for step in 0..=max_steps {
+        multigrid.precondition(&residual, &mut z, &mut room);
+        let next = dot(&residual, &z);
+        if next <= enough || step == max_steps {
+            return Ok(Solved { steps: step, converged: next <= enough });
         }
-        Ok(Solved { steps: self.max_steps, converged: size <= enough })
-    }
-
-    /// One factored system per frequency about the axis.
-    fn preconditioner(&self, system: &System) -> Result<Vec<Factored>> {
-        let System { equations, smoothness_mm2, local, first_harmonic, .. } = *system;
-        let weights = self.grid.even_weights(equations.ring_weights(&self.grid));
-        (0..=self.grid.nodes / 2)
-            .map(|frequency| {
-                let share = if frequency == 1 { first_harmonic } else { 1.0 };
-                let weights: Vec<f64> = weights.iter().map(|weight| weight * share).collect();
-                let system = self.grid.system(frequency, &weights, smoothness_mm2, local);
-                // Without one of them, those after it would be taken for lower frequencies.
-                system
-                    .factored()
-                    .ok_or_else(|| broken("weight of all echoes on the wall", weights.iter().sum()))
-            })
-            .collect()
-    }
-
-    /// Applies the preconditioner for rings of these weights to `x`.
-    #[cfg(all(test, feature = "gpu"))]
-    pub(in crate::sweep) fn precondition_evenly(
-        &self,
-        ring_weights: Vec<f64>,
-        smoothness: f64,
-        x: &mut [f64],
-    ) {
-        let weights = self.grid.even_weights(ring_weights);
-        let system =
-            |frequency| self.grid.system(frequency, &weights, smoothness, LocalSmoothness::EVEN).factored();
-        let systems: Option<Vec<Factored>> = (0..=self.grid.nodes / 2).map(system).collect();
-        self.precondition(&systems.expect("positive definite systems"), x);
-    }
-
-    fn precondition(&self, systems: &[Factored], x: &mut [f64]) {
-        let WallGrid { rings, nodes, .. } = self.grid;
-        let frequencies = nodes / 2 + 1;
-        let mut spectrum = vec![Complex64::default(); rings * frequencies];
-        let mut scratch = self.forward.make_scratch_vec();
-        for (ring, out) in x.chunks_exact_mut(nodes).zip(spectrum.chunks_exact_mut(frequencies)) {
-            // Fails only where lengths differ from the plan's.
-            let _ = self.forward.process_with_scratch(ring, out, &mut scratch);
+        if !next.is_finite() {
+            return Err(broken("square of the wall equations' residual", next));
         }
-        let mut column = vec![Complex64::default(); rings];
-        for (frequency, system) in systems.iter().enumerate() {
-            for ring in 0..rings {
-                column[ring] = spectrum[ring * frequencies + frequency];
-            }
-            column = system.solve(column);
-            for ring in 0..rings {
-                spectrum[ring * frequencies + frequency] = column[ring] / nodes as f64;
-            }
+        let beta = if step == 0 { 0.0 } else { next / size };
+        size = next;
+        update(&mut direction, &z, |direction, z| z + beta * direction);
+        operator.apply(&direction, &mut product);
+        coupling(&direction, &mut product);
+        let curvature = dot(&direction, &product);
+        if !(curvature.is_finite() && curvature > 0.0) {
+            return Err(broken("curvature of the wall equations", curvature));
         }
-        let mut scratch = self.backward.make_scratch_vec();
-        for (ring, out) in x.chunks_exact_mut(nodes).zip(spectrum.chunks_exact_mut(frequencies)) {
-            // These two are real; rounding must not make the transform refuse them.
-            out[0].im = 0.0;
-            if nodes % 2 == 0 {
-                out[frequencies - 1].im = 0.0;
-            }
-            let _ = self.backward.process_with_scratch(out, ring, &mut scratch);
-        }
+        let alpha = size / curvature;
+        update(x, &direction, |x, direction| x + alpha * direction);
+        update(&mut residual, &product, |residual, product| residual - alpha * product);
     }
+    unreachable!("the last step returns")
 }
 
 fn broken(what: &'static str, found: f64) -> Error {
     Error::Solver { what, found: found.to_string(), expected: "a finite number above 0" }
 }
 
+/// Replaces every number of `a` by a function of it and of that of `b`.
+fn update(a: &mut [f64], b: &[f64], new: impl Fn(f64, f64) -> f64 + Sync) {
+    let of_task = |(a, b): (&mut [f64], &[f64])| a.iter_mut().zip(b).for_each(|(a, b)| *a = new(*a, *b));
+    a.par_chunks_mut(TASK).zip(b.par_chunks(TASK)).for_each(of_task);
+}
+
+/// The scalar product, in a fixed order.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+    let of_task = |(a, b): (&[f64], &[f64])| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let parts: Vec<f64> = a.par_chunks(TASK).zip(b.par_chunks(TASK)).map(of_task).collect();
+    parts.iter().sum()
 }
 
 #[cfg(test)]
@@ -209,8 +141,7 @@ mod tests {
 
     fn residual(equations: &Equations, smoothness: f64, x: &[f64]) -> f64 {
         let mut product = vec![0.0; x.len()];
-        equations.apply(&GRID, x, &mut product);
-        GRID.add_bending(x, smoothness, LocalSmoothness::EVEN, &mut product);
+        Operator::of(equations, &GRID, smoothness, LocalSmoothness::EVEN).apply(x, &mut product);
         product.iter().zip(equations.rows()).map(|(a, row)| (a - row[4]).abs()).fold(0.0, f64::max)
     }
 
@@ -219,7 +150,7 @@ mod tests {
         let equations = some_equations();
         for smoothness in [1e-4, 1.0, 1e4] {
             let mut x = vec![0.0; 48];
-            let solved = Solver::new(GRID).solve(&System::plain(&equations, smoothness), 1e-12, &mut x);
+            let solved = solve(&GRID, &System::plain(&equations, smoothness), 1e-12, MAX_STEPS, &mut x);
             let Solved { steps, converged } = solved.unwrap();
             let scale = 1.0 + smoothness;
             assert!(residual(&equations, smoothness, &x) < 1e-9 * scale, "{smoothness}: {steps} steps");
@@ -232,16 +163,15 @@ mod tests {
     #[test]
     fn too_few_steps_are_no_convergence() {
         let equations = some_equations();
-        let few = Solver::new(GRID).over(GRID, 2);
-        let solved = few.solve(&System::plain(&equations, 1e-4), 1e-12, &mut vec![0.0; 48]).unwrap();
+        let solved = solve(&GRID, &System::plain(&equations, 1e-4), 1e-12, 2, &mut vec![0.0; 48]).unwrap();
         assert_eq!(solved, Solved { steps: 2, converged: false });
     }
 
     #[test]
     fn equations_without_a_minimum_are_refused() {
-        let message = |equations: &Equations, smoothness, coupling: &dyn Fn(&[f64], &mut [f64])| {
+        let message = |equations: &Equations, smoothness, coupling: &Coupling| {
             let system = System { coupling, ..System::plain(equations, smoothness) };
-            Solver::new(GRID).solve(&system, 1e-12, &mut vec![0.0; 48]).unwrap_err().to_string()
+            solve(&GRID, &system, 1e-12, MAX_STEPS, &mut vec![0.0; 48]).unwrap_err().to_string()
         };
         let mut with_nan = some_equations();
         with_nan.add(&GRID.corners(2.5, 3.5), 1.0, f64::NAN);

@@ -18,6 +18,9 @@ use crate::sweep::wall::passes::{CONVERGED, DeviceEcho, Factors, State, WallPara
 use crate::sweep::wall::solver::{MAX_STEPS, Solved};
 use rayon::prelude::*;
 
+/// Largest relative change of the rings' weights and of λ for which the factors of the preconditioner are kept.
+const MAX_CHANGE: f64 = 0.1;
+
 /// Steps of conjugate gradients between two tests of convergence on the CPU. Steps after convergence do
 /// nothing.
 const STEPS_PER_SUBMISSION: usize = 10;
@@ -153,12 +156,12 @@ impl GpuWallEngine {
         }
         let (rings, nodes) = (grid.rings as u32, grid.nodes as u32);
         let parameters = WallParameters::new(rings, nodes, start_mm, OUT_OF_PLANE);
-        let of_device: Vec<DeviceEcho> = echoes.iter().map(|echo| echo.for_device(grid, start_mm)).collect();
+        let of_device: Vec<DeviceEcho> = echoes.par_iter().map(|e| e.for_device(grid, start_mm)).collect();
         let start = std::time::Instant::now();
         let workspace = self.prepare(&parameters, &of_device)?;
         let memory_s = start.elapsed().as_secs_f64();
         self.runner.spend(Spent { memory_s, ..Spent::default() });
-        Ok(OnDevice { engine: self, workspace, grid, echoes, start_mm })
+        Ok(OnDevice { engine: self, workspace, grid, echoes, start_mm, factored: None, steps: 0 })
     }
 }
 
@@ -169,6 +172,10 @@ pub(in crate::sweep) struct OnDevice<'a> {
     grid: &'a WallGrid,
     echoes: &'a mut [echo::Echo],
     start_mm: f64,
+    /// The weights of the rings and λ, mm², for which the device has the preconditioner's factors.
+    factored: Option<(Vec<f64>, f64)>,
+    /// Steps that the last equations took.
+    steps: usize,
 }
 
 impl WallEngine for OnDevice<'_> {
@@ -215,23 +222,34 @@ impl WallEngine for OnDevice<'_> {
 
         // In f64 and on the CPU, where nearly singular systems stay positive definite: without echoes on a
         // ring, only the wall's bending determines it.
-        let weight: f64 = ring_weights.iter().sum();
-        let factors = factors(grid, &parameters, ring_weights, reweighting.smoothness_mm2);
-        let factors =
-            factors.ok_or(GpuError::Wrong { what: "weights of the rings", found: weight.to_string() })?;
-        context.write(self.workspace.shared("factors"), bytemuck::cast_slice(&factors.rings))?;
-        context.write(self.workspace.shared("separators"), bytemuck::cast_slice(&factors.separators))?;
+        let smoothness_mm2 = reweighting.smoothness_mm2;
+        if !self.factored.as_ref().is_some_and(|(weights, smoothness)| {
+            alike(&[*smoothness], &[smoothness_mm2]) && alike(weights, &ring_weights)
+        }) {
+            let factors = factors(grid, &parameters, ring_weights.clone(), smoothness_mm2);
+            let weight = || ring_weights.iter().sum::<f64>().to_string();
+            let factors =
+                factors.ok_or_else(|| GpuError::Wrong { what: "weights of the rings", found: weight() })?;
+            context.write(self.workspace.shared("factors"), bytemuck::cast_slice(&factors.rings))?;
+            context.write(self.workspace.shared("separators"), bytemuck::cast_slice(&factors.separators))?;
+            self.factored = Some((ring_weights, smoothness_mm2));
+        }
         // The right-hand side for whole radii, in the preconditioner's norm: the reference of the relative
         // residual.
         context.write(self.workspace.shared("state"), bytemuck::bytes_of(&State::default()))?;
         let stages = [Stage::RightHandSide, Stage::Precondition];
-        let whole = self.sum_of_partials(&stages, self.workspace.frequency_groups())?;
+        let partials = self.partials(&stages, self.workspace.frequency_groups())?;
+        let whole: f64 = partials.into_iter().map(f64::from).sum();
         let max_residual_square = (reweighting.tolerance * reweighting.tolerance * whole) as f32;
         self.workspace.set_parameters(context, &WallParameters { max_residual_square, ..parameters })?;
         let solved = self.conjugate_gradients()?;
+        self.steps = solved.steps;
 
-        let count = grid.node_count();
-        let travel_mm = self.sum_of_partials(&[Stage::Move], count.div_ceil(256))? / count as f64;
+        let partials = self.partials(&[Stage::Move], 2 * grid.node_count().div_ceil(256))?;
+        let [travel, weight] = partials
+            .chunks_exact(2)
+            .fold([0.0; 2], |[a, b], pair| [a + f64::from(pair[0]), b + f64::from(pair[1])]);
+        let travel_mm = travel / weight.max(f64::MIN_POSITIVE);
         if !travel_mm.is_finite() {
             return Err(GpuError::Wrong { what: "travel of the nodes", found: travel_mm.to_string() }.into());
         }
@@ -260,21 +278,28 @@ impl WallEngine for OnDevice<'_> {
 }
 
 impl OnDevice<'_> {
-    /// Runs stages and adds up the partial sums of the workgroups of the last pass.
-    fn sum_of_partials(&self, stages: &[Stage], count: usize) -> Result<f64> {
+    /// Runs stages and returns the partial sums of the last pass.
+    fn partials(&self, stages: &[Stage], count: usize) -> Result<Vec<f32>> {
         let read = self.engine.run(&self.workspace, stages, &[self.workspace.shared("partials")], |_| ())?;
-        let partials = bytemuck::pod_collect_to_vec::<u8, f32>(&read[0]);
-        Ok(partials.into_iter().take(count).map(f64::from).sum())
+        let mut partials = bytemuck::pod_collect_to_vec::<u8, f32>(&read[0]);
+        partials.truncate(count);
+        Ok(partials)
     }
 
     /// Conjugate gradients until convergence, or until the steps run out.
     fn conjugate_gradients(&self) -> Result<Solved> {
         let [state, residual, product] =
             ["state", "cg_residual", "product"].map(|name| self.workspace.shared(name));
-        let steps = [Stage::Precondition, Stage::Step].repeat(STEPS_PER_SUBMISSION);
-        for submission in 0..MAX_STEPS.div_ceil(STEPS_PER_SUBMISSION) {
+        let mut submitted = 0;
+        while submitted < MAX_STEPS {
+            let first = submitted == 0;
+            // At first as many as the last equations took and a test of convergence, so that one look suffices.
+            let wanted = if first { self.steps + 1 } else { 0 };
+            let more = wanted.clamp(STEPS_PER_SUBMISSION, MAX_STEPS).min(MAX_STEPS - submitted);
+            submitted += more;
+            let steps = [Stage::Precondition, Stage::Step].repeat(more);
             let read = self.engine.run(&self.workspace, &steps, &[state], |encoder| {
-                if submission == 0 {
+                if first {
                     // `assemble` has written it there.
                     encoder.copy_buffer_to_buffer(product, 0, residual, 0, Some(product.size()));
                 }
@@ -293,6 +318,11 @@ impl OnDevice<'_> {
         }
         Ok(Solved { steps: MAX_STEPS, converged: false })
     }
+}
+
+/// Whether weights are so like those that the preconditioner was made for that it is as good for them.
+fn alike(before: &[f64], now: &[f64]) -> bool {
+    before.iter().zip(now).all(|(before, now)| (now - before).abs() <= MAX_CHANGE * before)
 }
 
 /// The factored systems of the preconditioner; `None` where the weights are not finite.
@@ -331,13 +361,34 @@ mod tests {
         couple, eliminate, hartley_first, hartley_second_spectrum, hartley_second_values, substitute,
         twiddles,
     };
-    use crate::sweep::wall::solver::Solver;
+    use std::f64::consts::TAU;
 
     /// Uneven weights, and rings before, amid and behind them without any.
     fn ring_weights(rings: usize) -> Vec<f64> {
         let empty =
             |ring: usize| ring < 20 || (rings / 2..rings / 2 + 9).contains(&ring) || ring + 25 > rings;
         (0..rings).map(|ring| if empty(ring) { 0.0 } else { 300.0 + 100.0 * (ring as f64).sin() }).collect()
+    }
+
+    /// The same by sums of cosines and sines, and systems that are solved from one end to the other.
+    fn evenly_preconditioned(grid: &WallGrid, smoothness: f64, values: &[f32]) -> Vec<f64> {
+        let (rings, nodes) = (grid.rings, grid.nodes);
+        let weights = grid.even_weights(ring_weights(rings));
+        let mut x = vec![0.0; values.len()];
+        for frequency in 0..nodes {
+            let nearest = frequency.min(nodes - frequency);
+            let system =
+                grid.system(nearest, &weights, smoothness, LocalSmoothness::EVEN).factored().unwrap();
+            for wave in [f64::cos, f64::sin] {
+                let wave = |j: usize| wave(TAU * (frequency * j % nodes) as f64 / nodes as f64);
+                let of_ring = |ring: &[f32]| (0..nodes).map(|j| f64::from(ring[j]) * wave(j)).sum::<f64>();
+                let column = system.solve(values.chunks_exact(nodes).map(of_ring).collect());
+                for (ring, amplitude) in x.chunks_exact_mut(nodes).zip(column) {
+                    (0..nodes).for_each(|j| ring[j] += amplitude * wave(j) / nodes as f64);
+                }
+            }
+        }
+        x
     }
 
     #[test]
@@ -364,8 +415,7 @@ mod tests {
                 &values,
             );
 
-            let mut expected: Vec<f64> = values.iter().map(|&x| f64::from(x)).collect();
-            Solver::new(grid).precondition_evenly(ring_weights(rings), smoothness, &mut expected);
+            let expected = evenly_preconditioned(&grid, smoothness, &values);
             let scale = expected.iter().map(|x| x.abs()).fold(0.0, f64::max);
             let apart =
                 found.iter().zip(&expected).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);

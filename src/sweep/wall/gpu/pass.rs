@@ -122,5 +122,5 @@ pub static PASSES: [Pass; 20] = [
     pass!("cg_step", Step, Nodes, 256, [], [
         "state": Read, "direction": Read, "product": Read, "change": Write, "cg_residual": Write,
     ]),
-    pass!("move_wall", Move, Nodes, 256, [SUM], ["change": Read, "wall": Write, "partials": Write]),
+    pass!("move_wall", Move, Nodes, 256, [SUM], ["change": Read, "rows": Read, "wall": Write, "partials": Write]),
 ];

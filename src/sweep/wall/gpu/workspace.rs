@@ -50,7 +50,7 @@ fn sizes(parameters: &WallParameters) -> Vec<(&'static str, u64)> {
         ("direction", 4 * nodes),
         ("product", 4 * nodes),
         ("change", 4 * nodes),
-        ("partials", 4 * nodes.div_ceil(256).max(u64::from(frequency_groups(parameters)))),
+        ("partials", 4 * (2 * nodes.div_ceil(256)).max(u64::from(frequency_groups(parameters)))),
     ]
 }
 

@@ -1,5 +1,5 @@
 //! The gradient of the bending energy (`shaders/sweep/common/bending.wgsl`). In f64 this is
-//! `WallGrid::add_bending`.
+//! part of `Operator`.
 
 use super::WallParameters;
 
@@ -55,6 +55,7 @@ mod tests {
     use super::*;
     use crate::sweep::prepare::grid::WallGrid;
     use crate::sweep::wall::bending::LocalSmoothness;
+    use crate::sweep::wall::operator::Operator;
 
     #[test]
     fn the_bending_is_the_cpu_s() {
@@ -68,7 +69,8 @@ mod tests {
             let x: Vec<f32> = (0..8 * rings).map(|i| (0.7 * (i * i) as f32).sin()).collect();
             let mut expected = vec![0.0; x.len()];
             let wide: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
-            grid.add_bending(&wide, 3.0, LocalSmoothness::EVEN, &mut expected);
+            let no_echoes = Operator::lumped(&grid, vec![0.0; x.len()], 3.0, LocalSmoothness::default());
+            no_echoes.apply(&wide, &mut expected);
             for (node, expected) in expected.iter().enumerate() {
                 let found = bending(&parameters, &x, node / 8, node % 8);
                 // Some thirty roundings of sums of up to 64 numbers of at most 1, times 4.

@@ -1,0 +1,316 @@
+//! The preconditioner: a multigrid cycle over ever coarser grids of the same wall.
+//!
+//! What is smooth on one grid is rough on a coarser one, where relaxation removes it. So it costs the same few steps
+//! whether echoes or bending determine the wall, and however unevenly the echoes lie: in a hole between them too, which
+//! the bending alone determines (A. Brandt, *Multi-level adaptive solutions to boundary-value problems*, Mathematics of
+//! Computation 31, 1977; W. L. Briggs, V. E. Henson, S. F. McCormick, *A Multigrid Tutorial*, 2000).
+
+use super::operator::Operator;
+use crate::numerics::banded::Banded;
+use crate::sweep::prepare::grid::WallGrid;
+use rayon::prelude::*;
+
+/// A grid of at most this many nodes per ring is solved by factors.
+const COARSEST_NODES: usize = 12;
+/// Grids are coarsened both ways while the distances of rings and of nodes differ by less than this factor, and only in
+/// the direction of the smaller one otherwise: relaxation removes what is rough in the direction of strong coupling.
+const MAX_ASPECT: f64 = 1.5;
+/// Weights of the two relaxations before the correction by the coarser grid; after it they come in the other order, so that
+/// the cycle is symmetric. They are the inverse roots of the Chebyshev polynomial of the interval from 0.5 to 4, which no
+/// eigenvalue of the matrix exceeds once its diagonal is scaled to one: it is a sum of squares of at most four values.
+const RELAXATIONS: [f64; 2] = [0.286_743, 0.987_578];
+/// Added to the diagonal of the coarsest grid, in units of the largest one, so that a wall without echoes has a solution.
+const FLOOR: f64 = 1e-12;
+/// Nodes per parallel task of a transfer between grids.
+const TASK_NODES: usize = 8192;
+
+/// The grids, from the finest on.
+pub(super) struct Multigrid<'a> {
+    finest: &'a Operator,
+    coarser: Vec<Operator>,
+    /// Inverse diagonals, and the way to the next coarser grid, of all but the coarsest.
+    inverses: Vec<Vec<f64>>,
+    transfers: Vec<Transfer>,
+    factored: Banded,
+}
+
+/// Vectors of one level: right-hand side, values, and room.
+pub(super) struct Room {
+    right: Vec<f64>,
+    values: Vec<f64>,
+    other: Vec<f64>,
+}
+
+impl<'a> Multigrid<'a> {
+    /// `None` where the matrix is not positive definite.
+    pub(super) fn of(finest: &'a Operator) -> Option<Self> {
+        let mut coarser: Vec<Operator> = Vec::new();
+        let (mut inverses, mut transfers) = (Vec::new(), Vec::new());
+        let mut weights = finest.lumped_weights();
+        loop {
+            let operator = coarser.last().unwrap_or(finest);
+            let Some(grid) = coarsened(&operator.grid) else { break };
+            inverses.push(operator.diagonal().iter().map(|d| d.recip()).collect());
+            let transfer = Transfer::between(&operator.grid, &grid);
+            let mut fewer = vec![0.0; grid.node_count()];
+            transfer.restrict(&weights, &mut fewer);
+            let local = operator.local().resampled(operator.grid.rings, grid.rings);
+            let next = Operator::lumped(&grid, fewer.clone(), operator.smoothness_mm2, local);
+            weights = fewer;
+            transfers.push(transfer);
+            coarser.push(next);
+        }
+        let factored = factored(coarser.last().unwrap_or(finest), &weights)?;
+        Some(Self { finest, coarser, inverses, transfers, factored })
+    }
+
+    /// Room for [`precondition`](Self::precondition).
+    pub(super) fn room(&self) -> Vec<Room> {
+        let grids = std::iter::once(self.finest).chain(&self.coarser);
+        let zeros = |operator: &Operator| vec![0.0; operator.grid.node_count()];
+        grids.map(|o| Room { right: zeros(o), values: zeros(o), other: zeros(o) }).collect()
+    }
+
+    /// An approximate solution for `right`.
+    pub(super) fn precondition(&self, right: &[f64], values: &mut [f64], room: &mut [Room]) {
+        self.cycle(0, right, values, room);
+    }
+
+    fn cycle(&self, level: usize, right: &[f64], values: &mut [f64], room: &mut [Room]) {
+        let Some(transfer) = self.transfers.get(level) else {
+            values.copy_from_slice(right);
+            self.factored.solve(values);
+            return;
+        };
+        let operator = if level == 0 { self.finest } else { &self.coarser[level - 1] };
+        let inverse = &self.inverses[level];
+        let [first, second] = RELAXATIONS;
+        let (here, coarser) = room.split_at_mut(1);
+        let other = &mut here[0].other;
+        // From zero.
+        let values_of = other.par_iter_mut().with_min_len(TASK_NODES).zip(inverse).zip(right);
+        values_of.for_each(|((other, inverse), right)| *other = first * inverse * right);
+        operator.relax(right, other, second, inverse, values);
+        operator.residual(right, values, other);
+        let (mut right_there, mut there) =
+            (std::mem::take(&mut coarser[0].right), std::mem::take(&mut coarser[0].values));
+        transfer.restrict(other, &mut right_there);
+        self.cycle(level + 1, &right_there, &mut there, coarser);
+        transfer.prolong(&there, values);
+        (coarser[0].right, coarser[0].values) = (right_there, there);
+        operator.relax(right, values, second, inverse, other);
+        operator.relax(right, other, first, inverse, values);
+    }
+}
+
+/// The next coarser grid over the same wall.
+fn coarsened(grid: &WallGrid) -> Option<WallGrid> {
+    let WallGrid { rings, nodes, step_mm, arc_mm } = *grid;
+    if nodes <= COARSEST_NODES {
+        return None;
+    }
+    let fewer_rings = rings > 3 && step_mm < MAX_ASPECT * arc_mm;
+    let fewer_nodes = !fewer_rings || arc_mm < MAX_ASPECT * step_mm;
+    let (new_rings, new_nodes) = (
+        if fewer_rings { (rings - 1).div_ceil(2) + 1 } else { rings },
+        if fewer_nodes { nodes.div_ceil(2) } else { nodes },
+    );
+    let step_mm = match new_rings == rings {
+        true => step_mm,
+        false => step_mm * (rings - 1) as f64 / (new_rings - 1) as f64,
+    };
+    Some(WallGrid {
+        rings: new_rings,
+        nodes: new_nodes,
+        step_mm,
+        arc_mm: arc_mm * nodes as f64 / new_nodes as f64,
+    })
+}
+
+/// The factors of a grid with few nodes per ring, with these weights of the echoes at its nodes.
+fn factored(operator: &Operator, weights: &[f64]) -> Option<Banded> {
+    let WallGrid { rings, nodes, .. } = operator.grid;
+    let mut matrix = Banded::zeros(rings * nodes, 2 * nodes);
+    for (node, weight) in weights.iter().enumerate() {
+        matrix.add(node, node, *weight);
+        for (bending, terms) in operator.squares(node / nodes, node % nodes) {
+            for (a, x) in terms {
+                for (b, y) in terms.into_iter().filter(|(b, _)| *b <= a) {
+                    matrix.add(a, b, bending * x * y);
+                }
+            }
+        }
+    }
+    matrix.factored(FLOOR)
+}
+
+/// Linear interpolation from a coarser grid, and its transpose.
+struct Transfer {
+    rings: Interpolation,
+    nodes: Interpolation,
+}
+
+impl Transfer {
+    fn between(fine: &WallGrid, coarse: &WallGrid) -> Self {
+        Self {
+            rings: Interpolation::new(fine.rings, coarse.rings, false),
+            nodes: Interpolation::new(fine.nodes, coarse.nodes, true),
+        }
+    }
+
+    /// The transpose of interpolation: every node's value, shared out among the coarser nodes about it.
+    fn restrict(&self, fine: &[f64], coarse: &mut [f64]) {
+        let (wide, narrow) = (self.nodes.to_fine.len(), self.nodes.to_coarse.len());
+        let tasks = coarse.par_chunks_mut(narrow).with_min_len(TASK_NODES.div_ceil(wide)).enumerate();
+        tasks.for_each_init(
+            || vec![0.0; wide],
+            |sum, (k, ring)| {
+                sum.fill(0.0);
+                for &(from, weight) in &self.rings.to_coarse[k] {
+                    let fine = &fine[from * wide..(from + 1) * wide];
+                    sum.iter_mut().zip(fine).for_each(|(sum, x)| *sum += weight * x);
+                }
+                for (x, from) in ring.iter_mut().zip(&self.nodes.to_coarse) {
+                    *x = from.iter().map(|&(j, weight)| weight * sum[j]).sum();
+                }
+            },
+        );
+    }
+
+    /// Adds the interpolated values of the coarser grid.
+    fn prolong(&self, coarse: &[f64], fine: &mut [f64]) {
+        let (wide, narrow) = (self.nodes.to_fine.len(), self.nodes.to_coarse.len());
+        let tasks = fine.par_chunks_mut(wide).with_min_len(TASK_NODES.div_ceil(wide)).enumerate();
+        tasks.for_each_init(
+            || vec![0.0; narrow],
+            |between, (k, ring)| {
+                let Share { below, above, part } = self.rings.to_fine[k];
+                let [a, b] = [below, above].map(|k| &coarse[k * narrow..(k + 1) * narrow]);
+                for ((between, a), b) in between.iter_mut().zip(a).zip(b) {
+                    *between = a + part * (b - a);
+                }
+                for (x, &Share { below, above, part }) in ring.iter_mut().zip(&self.nodes.to_fine) {
+                    *x += between[below] + part * (between[above] - between[below]);
+                }
+            },
+        );
+    }
+}
+
+/// A place between two coarser ones.
+#[derive(Clone, Copy)]
+struct Share {
+    below: usize,
+    above: usize,
+    /// The weight of the one above.
+    part: f64,
+}
+
+/// Linear interpolation in one direction.
+struct Interpolation {
+    to_fine: Vec<Share>,
+    /// Per coarse place: the fine ones that it has a share in, with their weights.
+    to_coarse: Vec<Vec<(usize, f64)>>,
+}
+
+impl Interpolation {
+    /// From `coarse` evenly spaced places to `fine` ones over the same length, or about the same ring if `closed`.
+    fn new(fine: usize, coarse: usize, closed: bool) -> Self {
+        let mut to_coarse = vec![Vec::new(); coarse];
+        let share = |i: usize| {
+            // Coarse intervals for each fine one, as a fraction of integers: exact where places coincide.
+            let (coarse_intervals, intervals) = if closed { (coarse, fine) } else { (coarse - 1, fine - 1) };
+            let below = i * coarse_intervals / intervals;
+            let part = (i * coarse_intervals % intervals) as f64 / intervals as f64;
+            let above = if closed { (below + 1) % coarse } else { (below + 1).min(coarse - 1) };
+            Share { below, above, part }
+        };
+        let to_fine: Vec<Share> = (0..fine).map(share).collect();
+        for (i, &Share { below, above, part }) in to_fine.iter().enumerate() {
+            to_coarse[below].push((i, 1.0 - part));
+            if part > 0.0 {
+                to_coarse[above].push((i, part));
+            }
+        }
+        Self { to_fine, to_coarse }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sweep::wall::bending::LocalSmoothness;
+    use crate::sweep::wall::equations::Equations;
+
+    /// Echoes with a hole, on a grid.
+    fn equations(grid: &WallGrid) -> Equations {
+        let mut equations = Equations::over(grid, 0..grid.rings);
+        for i in 0..4 * grid.node_count() {
+            let [ring, node] = [0.618_033_988_7, 0.414_213_562_3].map(|step| (step * i as f64).fract());
+            if !(0.4..0.6).contains(&ring) || node > 0.5 {
+                let corners = grid.corners(ring * (grid.rings - 1) as f64, node * grid.nodes as f64);
+                equations.add(&corners, 0.1 + node, 1.0);
+            }
+        }
+        equations
+    }
+
+    #[test]
+    fn the_cycle_is_symmetric_and_positive_and_nearly_the_inverse() {
+        for (rings, nodes, step_mm) in
+            [(40, 24, 1.0), (41, 65, 1.1), (9, 90, 3.0), (3, 32, 0.2), (60, 16, 0.5)]
+        {
+            let grid = WallGrid { rings, nodes, step_mm, arc_mm: 1.0 };
+            for smoothness in [0.02, 1.0, 300.0] {
+                let operator = Operator::of(&equations(&grid), &grid, smoothness, LocalSmoothness::EVEN);
+                let multigrid = Multigrid::of(&operator).unwrap();
+                let mut room = multigrid.room();
+                let wave = |seed: usize| -> Vec<f64> {
+                    (0..grid.node_count()).map(|i| (0.37 * (i * (i + seed) % 977) as f64).sin()).collect()
+                };
+                let mut cycle = |right: &[f64]| {
+                    let mut values = vec![f64::NAN; right.len()];
+                    multigrid.precondition(right, &mut values, &mut room);
+                    values
+                };
+                let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+                let (a, b) = (wave(1), wave(5));
+                let (of_a, of_b) = (cycle(&a), cycle(&b));
+                let size = (dot(&of_a, &a) * dot(&of_b, &b)).sqrt();
+                assert!(size > 0.0 && (dot(&of_a, &b) - dot(&a, &of_b)).abs() < 1e-9 * size, "{grid:?}");
+                // Not the inverse, but by a bounded factor, at whatever smoothness.
+                let mut product = a.clone();
+                operator.apply(&a, &mut product);
+                let found = cycle(&product);
+                let ratio = dot(&found, &product) / dot(&a, &product);
+                assert!((0.5..2.0).contains(&ratio), "{grid:?}, {smoothness}: {ratio}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_grid_and_the_next_coarser_one_cover_the_same_wall() {
+        for (rings, nodes, step_mm, fewer) in
+            [(40, 24, 1.0, (21, 12)), (41, 65, 0.5, (21, 65)), (9, 90, 3.0, (9, 45)), (3, 32, 0.2, (3, 16))]
+        {
+            let grid = WallGrid { rings, nodes, step_mm, arc_mm: 1.0 };
+            let coarse = coarsened(&grid).unwrap();
+            assert_eq!((coarse.rings, coarse.nodes), fewer);
+            let length = |grid: &WallGrid| (grid.rings - 1) as f64 * grid.step_mm;
+            assert!((length(&coarse) - length(&grid)).abs() < 1e-12);
+            assert!((coarse.radius_mm() - grid.radius_mm()).abs() < 1e-12);
+            let transfer = Transfer::between(&grid, &coarse);
+            // Linear functions along the axis are interpolated exactly, and no weight is lost on the way back.
+            let along =
+                |g: &WallGrid| (0..g.node_count()).map(|i| (i / g.nodes) as f64 * g.step_mm).collect();
+            let (mut fine, expected): (Vec<f64>, Vec<f64>) = (vec![0.0; grid.node_count()], along(&grid));
+            transfer.prolong(&along(&coarse), &mut fine);
+            assert!(fine.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-12), "{fine:?}");
+            let mut sums = vec![0.0; coarse.node_count()];
+            transfer.restrict(&expected, &mut sums);
+            let [a, b] = [&sums, &expected].map(|x| x.iter().sum::<f64>());
+            assert!((a - b).abs() < 1e-9 * b, "{a} {b}");
+        }
+        assert!(coarsened(&WallGrid { rings: 100, nodes: 12, step_mm: 1.0, arc_mm: 1.0 }).is_none());
+    }
+}

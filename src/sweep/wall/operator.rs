@@ -1,0 +1,365 @@
+//! The matrix of the wall's equations, and its products with vectors, ring by ring on all threads.
+
+use super::bending::LocalSmoothness;
+use super::equations::Equations;
+use crate::sweep::prepare::grid::WallGrid;
+use rayon::prelude::*;
+
+/// Nodes per parallel task: fewer do not pay for a thread.
+const TASK_NODES: usize = 4096;
+
+/// The couplings of weighted echoes plus λ times those of the bending energy `½ ∫ r_ss² + 2 r_sθ² + r_θθ² dA`.
+///
+/// Second differences along the axis are left out on the end rings: the ends are free, so a cone has no bending energy.
+#[derive(Debug, Clone)]
+pub(in crate::sweep) struct Operator {
+    pub grid: WallGrid,
+    /// Per node: the echoes' coupling to itself.
+    own: Vec<f64>,
+    couplings: Option<Couplings>,
+    /// λ, mm².
+    pub smoothness_mm2: f64,
+    /// λ and the area of a cell times the squares of second differences along the axis, about it, and of twists.
+    along: f64,
+    around: f64,
+    twist: f64,
+    local: LocalSmoothness,
+}
+
+/// The echoes' couplings between nodes. Planes hold one number more per ring: the last one's comes first as well.
+#[derive(Debug, Clone)]
+struct Couplings {
+    /// (k, j) to (k, j+1).
+    along_ring: Vec<f64>,
+    /// (k-1, j) to (k, j), and to (k, j+1); zeros for k = 0 and behind the last ring.
+    across: Vec<f64>,
+    diagonal: Vec<f64>,
+}
+
+/// Three neighbouring rings with their ends repeated on either side, and the product for the middle one.
+struct Room {
+    below: Vec<f64>,
+    ring: Vec<f64>,
+    above: Vec<f64>,
+    product: Vec<f64>,
+}
+
+impl Room {
+    fn new(nodes: usize) -> Self {
+        let padded = vec![0.0; nodes + 4];
+        Self { below: padded.clone(), ring: padded.clone(), above: padded, product: vec![0.0; nodes] }
+    }
+}
+
+/// Copies a ring and repeats two nodes on either side.
+fn pad(ring: &[f64], padded: &mut [f64]) {
+    let nodes = ring.len();
+    padded[2..nodes + 2].copy_from_slice(ring);
+    for i in 0..2 {
+        padded[i] = ring[(2 * nodes + i - 2) % nodes];
+        padded[nodes + 2 + i] = ring[i % nodes];
+    }
+}
+
+impl Operator {
+    /// The matrix of equations over the rings of a grid.
+    pub(in crate::sweep) fn of(
+        equations: &Equations,
+        grid: &WallGrid,
+        smoothness_mm2: f64,
+        local: &LocalSmoothness,
+    ) -> Self {
+        let WallGrid { rings, nodes, .. } = *grid;
+        let rows = equations.rows();
+        let mut couplings = Couplings {
+            along_ring: vec![0.0; rings * (nodes + 1)],
+            across: vec![0.0; (rings + 1) * (nodes + 1)],
+            diagonal: vec![0.0; (rings + 1) * (nodes + 1)],
+        };
+        let fill = |planes: &mut [f64], part: usize, rings: usize| {
+            let tasks = planes.par_chunks_exact_mut(nodes + 1).with_min_len(TASK_NODES.div_ceil(nodes));
+            tasks.zip(rows.par_chunks_exact(nodes)).take(rings).for_each(|(plane, ring)| {
+                plane[0] = ring[nodes - 1][part];
+                plane[1..].iter_mut().zip(ring).for_each(|(to, row)| *to = row[part]);
+            });
+        };
+        fill(&mut couplings.along_ring, 1, rings);
+        fill(&mut couplings.across[nodes + 1..], 2, rings - 1);
+        fill(&mut couplings.diagonal[nodes + 1..], 3, rings - 1);
+        let own = rows.par_iter().with_min_len(TASK_NODES).map(|row| row[0]).collect();
+        Self { couplings: Some(couplings), ..Self::lumped(grid, own, smoothness_mm2, local.clone()) }
+    }
+
+    /// The matrix of weights at the nodes themselves.
+    pub(in crate::sweep) fn lumped(
+        grid: &WallGrid,
+        weights: Vec<f64>,
+        smoothness_mm2: f64,
+        local: LocalSmoothness,
+    ) -> Self {
+        let WallGrid { step_mm, arc_mm, .. } = *grid;
+        let area = grid.cell_mm2() * smoothness_mm2;
+        Self {
+            grid: *grid,
+            own: weights,
+            couplings: None,
+            smoothness_mm2,
+            along: area / step_mm.powi(4),
+            around: area / arc_mm.powi(4),
+            twist: 2.0 * area / (step_mm * arc_mm).powi(2),
+            local,
+        }
+    }
+
+    /// The factors of λ on the rings.
+    pub(in crate::sweep) fn local(&self) -> &LocalSmoothness {
+        &self.local
+    }
+
+    /// Weights of the bending on ring k: of second differences along the axis, about it, and of twists towards the next
+    /// ring. 0 for rings that do not exist.
+    fn bending_of(&self, k: Option<usize>) -> [f64; 3] {
+        let rings = self.grid.rings;
+        let Some(k) = k.filter(|&k| k < rings) else { return [0.0; 3] };
+        let factor = self.local.factor(k);
+        let only = |condition: bool, weight: f64| if condition { weight * factor } else { 0.0 };
+        [only(k >= 1 && k + 1 < rings, self.along), only(true, self.around), only(k + 1 < rings, self.twist)]
+    }
+
+    /// The diagonal of the matrix.
+    pub(in crate::sweep) fn diagonal(&self) -> Vec<f64> {
+        let nodes = self.grid.nodes;
+        let mut diagonal = self.own.clone();
+        for (k, ring) in diagonal.chunks_exact_mut(nodes).enumerate() {
+            let [below, here, above] = [k.checked_sub(1), Some(k), Some(k + 1)].map(|k| self.bending_of(k));
+            let bending = below[0] + 4.0 * here[0] + above[0] + 6.0 * here[1] + 2.0 * (here[2] + below[2]);
+            ring.iter_mut().for_each(|own| *own += bending);
+        }
+        diagonal
+    }
+
+    /// The echoes' weights with the couplings added to them. A wall of ones does not bend, to the bit.
+    pub(in crate::sweep) fn lumped_weights(&self) -> Vec<f64> {
+        let mut weights = vec![0.0; self.own.len()];
+        self.apply(&vec![1.0; self.own.len()], &mut weights);
+        weights
+    }
+
+    /// The squares of the bending energy at node j of ring k: their weights, and their nodes with coefficients.
+    pub(in crate::sweep) fn squares(&self, k: usize, j: usize) -> [(f64, [(usize, f64); 4]); 3] {
+        let nodes = self.grid.nodes;
+        let [along, around, twist] = self.bending_of(Some(k));
+        let at = |ring: usize, node: usize| ring.min(self.grid.rings - 1) * nodes + node % nodes;
+        let here = (at(k, j), -2.0);
+        [
+            (along, [(at(k.saturating_sub(1), j), 1.0), here, (at(k + 1, j), 1.0), (here.0, 0.0)]),
+            (around, [(at(k, j + nodes - 1), 1.0), here, (at(k, j + 1), 1.0), (here.0, 0.0)]),
+            (twist, [(here.0, 1.0), (at(k, j + 1), -1.0), (at(k + 1, j), -1.0), (at(k + 1, j + 1), 1.0)]),
+        ]
+    }
+
+    /// `out = A x`; returns `x·A x`, summed in a fixed order.
+    pub(in crate::sweep) fn apply(&self, x: &[f64], out: &mut [f64]) -> f64 {
+        let of_rings = self.for_rings(x, out, |_, x, product, out| {
+            out.copy_from_slice(product);
+            x.iter().zip(product).map(|(x, p)| x * p).sum()
+        });
+        of_rings.iter().sum()
+    }
+
+    /// `out = right - A x`.
+    pub(in crate::sweep) fn residual(&self, right: &[f64], x: &[f64], out: &mut [f64]) {
+        self.for_rings(x, out, |first, _, product, out| {
+            for ((out, b), p) in out.iter_mut().zip(&right[first..]).zip(product) {
+                *out = b - p;
+            }
+            0.0
+        });
+    }
+
+    /// `out = x + scale (right - A x)`, with a `scale` for every node.
+    pub(in crate::sweep) fn relax(
+        &self,
+        right: &[f64],
+        x: &[f64],
+        weight: f64,
+        scale: &[f64],
+        out: &mut [f64],
+    ) {
+        self.for_rings(x, out, |first, x, product, out| {
+            let (right, scale) = (&right[first..], &scale[first..]);
+            for ((((out, x), b), p), s) in out.iter_mut().zip(x).zip(right).zip(product).zip(scale) {
+                *out = x + weight * s * (b - p);
+            }
+            0.0
+        });
+    }
+
+    /// Calls `take` with the first node of every ring, its values, their product with the matrix and its part of `out`;
+    /// returns what the calls return.
+    fn for_rings(
+        &self,
+        x: &[f64],
+        out: &mut [f64],
+        take: impl Fn(usize, &[f64], &[f64], &mut [f64]) -> f64 + Sync,
+    ) -> Vec<f64> {
+        let nodes = self.grid.nodes;
+        let rings_per_task = TASK_NODES.div_ceil(nodes);
+        let mut returned = vec![0.0; self.grid.rings];
+        let arch = pulp::Arch::new();
+        let task = |(task, (out, returned)): (usize, (&mut [f64], &mut [f64]))| {
+            arch.dispatch(
+                #[inline(always)]
+                || {
+                    let mut room = Room::new(nodes);
+                    for (i, (out, returned)) in out.chunks_exact_mut(nodes).zip(returned).enumerate() {
+                        let k = task * rings_per_task + i;
+                        self.product_of_ring(k, x, &mut room);
+                        let first = k * nodes;
+                        *returned = take(first, &x[first..first + nodes], &room.product, out);
+                    }
+                },
+            );
+        };
+        if self.grid.rings <= rings_per_task {
+            task((0, (out, &mut returned)));
+        } else {
+            let tasks = out.par_chunks_mut(nodes * rings_per_task);
+            tasks.zip(returned.par_chunks_mut(rings_per_task)).enumerate().for_each(task);
+        }
+        returned
+    }
+
+    /// The product of the matrix with `x` on ring k.
+    #[inline(always)]
+    fn product_of_ring(&self, k: usize, x: &[f64], room: &mut Room) {
+        let WallGrid { rings, nodes, .. } = self.grid;
+        let ring = |k: usize| &x[k * nodes..(k + 1) * nodes];
+        // Where a ring does not exist, the one at the end stands in with a weight of 0.
+        let [k1, k2] = [1, 2].map(|away| k.saturating_sub(away));
+        let [k3, k4] = [1, 2].map(|away| (k + away).min(rings - 1));
+        pad(ring(k1), &mut room.below);
+        pad(ring(k), &mut room.ring);
+        pad(ring(k3), &mut room.above);
+        let [below, here, above] = [k.checked_sub(1), Some(k), Some(k + 1)].map(|k| self.bending_of(k));
+        let [arch_below, arch, arch_above] = [below[0], here[0], above[0]];
+        let (around, twist_below, twist_above) = (here[1], below[2], here[2]);
+
+        let out = &mut room.product[..nodes];
+        let (a, b, c) = (&room.below[..nodes + 4], &room.ring[..nodes + 4], &room.above[..nodes + 4]);
+        let (two_below, two_above, own) = (ring(k2), ring(k4), &self.own[k * nodes..(k + 1) * nodes]);
+        for j in 0..nodes {
+            let x = b[j + 2];
+            let (x_below, x_above) = (a[j + 2], c[j + 2]);
+            // Second differences from first differences, which are exact where neighbours are alike.
+            let [d0, d1, d2, d3] = [b[j + 1] - b[j], x - b[j + 1], b[j + 3] - x, b[j + 4] - b[j + 3]];
+            let bends = around * ((d1 - d0) - 2.0 * (d2 - d1) + (d3 - d2));
+            let (e0, e1, e2, e3) = (x_below - two_below[j], x - x_below, x_above - x, two_above[j] - x_above);
+            let arches = arch_below * (e1 - e0) - 2.0 * (arch * (e2 - e1)) + arch_above * (e3 - e2);
+            let twists_above = (c[j + 3] - x_above - d2) - (x_above - c[j + 1] - d1);
+            let twists_below = (d1 - (x_below - a[j + 1])) - (d2 - (a[j + 3] - x_below));
+            out[j] = own[j] * x + bends + arches + (twist_above * twists_above + twist_below * twists_below);
+        }
+        if let Some(Couplings { along_ring, across, diagonal }) = &self.couplings {
+            let width = nodes + 1;
+            let along_ring = &along_ring[k * width..(k + 1) * width];
+            let (up_below, up) =
+                (&across[k * width..(k + 1) * width], &across[(k + 1) * width..(k + 2) * width]);
+            let (tilted_below, tilted) =
+                (&diagonal[k * width..(k + 1) * width], &diagonal[(k + 1) * width..(k + 2) * width]);
+            for j in 0..nodes {
+                let along = along_ring[j + 1] * b[j + 3] + along_ring[j] * b[j + 1];
+                let above = up[j + 1] * c[j + 2] + tilted[j + 1] * c[j + 3];
+                let below = up_below[j + 1] * a[j + 2] + tilted_below[j] * a[j + 1];
+                out[j] += along + above + below;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GRID: WallGrid = WallGrid { rings: 6, nodes: 8, step_mm: 1.3, arc_mm: 0.9 };
+
+    fn bending(grid: &WallGrid, smoothness: f64, local: LocalSmoothness) -> Operator {
+        Operator::lumped(grid, vec![0.0; grid.node_count()], smoothness, local)
+    }
+
+    #[test]
+    fn a_cone_bends_nowhere() {
+        let bending = bending(&GRID, 7.0, LocalSmoothness::default());
+        let cone: Vec<f64> = (0..48).map(|i| 5.0 + 0.3 * f64::from(i / 8)).collect();
+        let mut gradient = vec![0.0; 48];
+        bending.apply(&cone, &mut gradient);
+        assert!(gradient.iter().all(|b| b.abs() < 1e-9), "{gradient:?}");
+        let mut dented = cone;
+        dented[20] += 1.0;
+        bending.apply(&dented, &mut gradient);
+        assert!(gradient[20] > 1.0);
+    }
+
+    /// Products and the diagonal, against squares that are added up one after the other, on grids of few rings and nodes
+    /// too, where neighbours coincide.
+    #[test]
+    fn the_matrix_is_that_of_the_sum_of_squares() {
+        for (rings, nodes) in [(2, 3), (3, 4), (4, 5), (7, 8), (9, 13)] {
+            let grid = WallGrid { rings, nodes, ..GRID };
+            let wave = |i: usize| (0.7 * (i * i) as f64).sin();
+            let radii: Vec<f64> = (0..grid.node_count()).map(|i| 5.0 + wave(i)).collect();
+            let local = LocalSmoothness::from_bending(&grid, &radii, 0.5);
+            let mut equations = Equations::over(&grid, 0..rings);
+            let points: Vec<(f64, f64)> = (0..40).map(|i| (4.0 * wave(i) + 4.0, 9.0 * wave(i + 7))).collect();
+            points
+                .iter()
+                .for_each(|&(ring, node)| equations.add(&grid.corners(ring, node), 1.0 + node.abs(), 0.0));
+            let operator = Operator::of(&equations, &grid, 0.3, &local);
+
+            let x: Vec<f64> = (0..grid.node_count()).map(|i| wave(i + 3)).collect();
+            let mut expected = vec![0.0; x.len()];
+            let mut diagonal = vec![0.0; x.len()];
+            let mut add = |weight: f64, terms: &[(usize, f64)]| {
+                let value: f64 = terms.iter().map(|&(node, c)| c * x[node]).sum();
+                for &(node, c) in terms {
+                    expected[node] += weight * c * value;
+                    let here: f64 = terms.iter().filter(|t| t.0 == node).map(|t| t.1).sum();
+                    diagonal[node] += weight * c * here;
+                }
+            };
+            for &(ring, node) in &points {
+                let corners = grid.corners(ring, node);
+                let terms: Vec<_> = corners.nodes.into_iter().zip(corners.weights).collect();
+                add(1.0 + node.abs(), &terms);
+            }
+            for node in 0..x.len() {
+                operator
+                    .squares(node / nodes, node % nodes)
+                    .iter()
+                    .for_each(|(weight, terms)| add(*weight, terms));
+            }
+            let mut found = vec![f64::NAN; x.len()];
+            let square = operator.apply(&x, &mut found);
+            let largest = expected.iter().fold(0.0_f64, |max, e| max.max(e.abs()));
+            let near = |a: f64, b: f64| (a - b).abs() < 1e-12 * largest;
+            assert!(found.iter().zip(&expected).all(|(a, b)| near(*a, *b)), "{rings} × {nodes}");
+            assert!(near(square, x.iter().zip(&expected).map(|(x, e)| x * e).sum()));
+            if nodes > 4 {
+                assert!(
+                    operator.diagonal().iter().zip(&diagonal).all(|(a, b)| near(*a, *b)),
+                    "{rings} × {nodes}"
+                );
+            }
+            let weights = operator.lumped_weights();
+            let all: f64 = points.iter().map(|(_, node)| 1.0 + node.abs()).sum();
+            assert!((weights.iter().sum::<f64>() - all).abs() < 1e-9 * all);
+
+            let mut other = found.clone();
+            operator.residual(&expected, &x, &mut other);
+            assert!(other.iter().all(|r| near(*r, 0.0)));
+            operator.relax(&radii, &x, 0.5, &radii, &mut other);
+            let relaxed = |i: usize| x[i] + 0.5 * radii[i] * (radii[i] - found[i]);
+            assert!((0..x.len()).all(|i| near(other[i], relaxed(i))));
+        }
+    }
+}
