@@ -2,10 +2,6 @@
 //!
 //! Everything that is unsafe in lumenmesh is here, and nearly all of it in `memory`.
 #![expect(
-    clippy::missing_safety_doc,
-    reason = "the header says for all functions what they ask of their pointers"
-)]
-#![expect(
     clippy::undocumented_unsafe_blocks,
     reason = "every block hands on what the header asks of the host"
 )]
