@@ -228,6 +228,15 @@ fn vtp() {
 }
 
 #[test]
+fn mat() {
+    read_all(
+        "mat",
+        &[written("mat")],
+        &tokens(&[b"vertices", b"faces", b"space", b"lps", b"\x0e\0\0\0", b"\x0f\0\0\0"]),
+    );
+}
+
+#[test]
 fn vtk() {
     let head =
         |kind: &str, data: &str| format!("# vtk DataFile Version 5.1\ntitle\n{kind}\nDATASET {data}\n");
