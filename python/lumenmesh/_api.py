@@ -188,7 +188,7 @@ class Mesh:
 
     def to_pyvista(self) -> Any:
         """A pyvista.PolyData with the same arrays. Needs pyvista."""
-        import pyvista  # type: ignore[import-not-found, unused-ignore]
+        import pyvista  # type: ignore[import-not-found, import-untyped, unused-ignore]
 
         faces = self.faces
         mesh = pyvista.PolyData(self.vertices, np.insert(faces, 0, 3, axis=1).ravel())
@@ -198,7 +198,7 @@ class Mesh:
 
     def to_trimesh(self) -> Any:
         """A trimesh.Trimesh with the vertices in the same order. Needs trimesh."""
-        import trimesh  # type: ignore[import-not-found, unused-ignore]
+        import trimesh  # type: ignore[import-not-found, import-untyped, unused-ignore]
 
         mesh = trimesh.Trimesh(self.vertices, self.faces, process=False)
         mesh.vertex_attributes.update(self.point_data)

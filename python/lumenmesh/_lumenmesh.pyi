@@ -7,6 +7,15 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = [
+    "__version__",
+    "Error",
+    "NativeRecording",
+    "NativeMesh",
+    "NativeLive",
+    "reconstruct",
+    "simulate",
+]
 __version__: str
 
 class Error(ValueError): ...
