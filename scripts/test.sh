@@ -23,8 +23,10 @@ apt_install() {
   $sudo apt-get update -qq && DEBIAN_FRONTEND=noninteractive $sudo apt-get install -y -qq --no-install-recommends "$@" >/dev/null
 }
 
+# One choice of packages and features for all: with another, Cargo would build every dependency again.
+chosen=(--all-features -p lumenmesh -p lumenmesh-capi)
 say "building"
-cargo build --bin lumenmesh
+cargo test "${chosen[@]}" --no-run
 
 say "adapters"
 if ! target/debug/lumenmesh devices --json | grep -q '"name"'; then
@@ -56,7 +58,7 @@ run() {
   "$@" 2>&1 | tee -a "$log" || status=1
 }
 
-run cargo test --all-features -p lumenmesh -p lumenmesh-capi
+run cargo test "${chosen[@]}"
 # The Python package, as it is installed.
 if [ -x target/python/bin/python ]; then
   python=target/python/bin/python
@@ -70,7 +72,7 @@ else
   echo "SKIPPED: the Python package: no Python with NumPy under target/"
   [ "${LUMENMESH_REQUIRE_TOOLS:-}" != 1 ] || status=1
 fi
-run cargo test --all-features --bench distance --bench fit --bench live -- --test
+run cargo test "${chosen[@]}" --bench distance --bench fit --bench live -- --test
 # Each feature builds alone, and the library without any.
 for features in "" cli gpu render; do
   run cargo check --quiet --no-default-features --features "$features"
