@@ -13,9 +13,9 @@ fn installed() -> &'static Path {
     static INSTALLED: OnceLock<PathBuf> = OnceLock::new();
     let install = || {
         let prefix = Path::new(env!("CARGO_TARGET_TMPDIR")).join("capi");
-        // This program lies in a folder of the one with the library, which was built with it.
+        // The library was built with this program, and lies beside it.
         let program = std::env::current_exe().unwrap();
-        let built = program.parent().unwrap().parent().unwrap();
+        let built = program.parent().unwrap();
         succeeds(Command::new(Path::new(ROOT).join("install.sh")).arg(&prefix).arg(built));
         prefix
     };
