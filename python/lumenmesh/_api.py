@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
@@ -370,5 +370,3 @@ def simulate(
     recording, wall = native.simulate(vessel, seed, noise, rays, steady)
     return Recording._of(recording), Mesh._of(wall)
 
-
-__all__: Sequence[str] = ()
