@@ -369,4 +369,3 @@ def simulate(
     advances."""
     recording, wall = native.simulate(vessel, seed, noise, rays, steady)
     return Recording._of(recording), Mesh._of(wall)
-
