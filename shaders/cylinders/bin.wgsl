@@ -7,8 +7,8 @@
 @group(0) @binding(2) var<storage, read> owners: array<u32>;
 // Points per face.
 @group(0) @binding(3) var<storage, read_write> counts: array<atomic<u32>>;
-// Face (NONE where the point did not pass the gate) and place.
-@group(0) @binding(4) var<storage, read_write> places: array<vec2u>;
+// The faces of all slots (NONE where the point did not pass the gate), then their places.
+@group(0) @binding(4) var<storage, read_write> places: array<u32>;
 
 // 1: at most 1024 faces in the batch, for which a workgroup counts its own points first: a million atomic
 // additions to the same sixty words take longer than all else.
@@ -50,7 +50,8 @@ fn place_of_own(face: u32) -> u32 {
 
 fn write(slot: u32, face: u32, place: u32) {
     if (slot < parameters.slots) {
-        places[slot] = vec2u(face, place);
+        places[slot] = face;
+        places[parameters.slots + slot] = place;
     }
 }
 

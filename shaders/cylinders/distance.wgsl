@@ -4,7 +4,7 @@
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> offsets: array<u32>;
-@group(0) @binding(3) var<storage, read> grouped: array<f32>;
+@group(0) @binding(3) var<storage, read> grouped: array<vec4f>;
 @group(0) @binding(4) var<storage, read> radii: array<f32>;
 // One key per point.
 @group(0) @binding(5) var<storage, read_write> keys: array<u32>;
@@ -40,8 +40,8 @@ fn main(
     let row = cylinder * parameters.node_count + level * parameters.nodes;
     let above = row + parameters.nodes;
     let a = radii[row + j];
-    let corners = Face(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
-    let p = vec3f(grouped[3u * i] - a, grouped[3u * i + 1u], grouped[3u * i + 2u]);
-    let nearer = distance_to_face(p, corners, parameters.step_theta, parameters.step_z);
+    let own = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
+    let p = grouped[i];
+    let nearer = distance_to_face(vec3f(p.x - a, p.yz), own);
     keys[i] = packed_key(nearer.distance, nearer.top, cylinders[cylinder].scale);
 }

@@ -7,14 +7,16 @@ override KEYED: u32 = 0u;
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> offsets: array<u32>;
-@group(0) @binding(3) var<storage, read> grouped: array<f32>;
+@group(0) @binding(3) var<storage, read> grouped: array<vec4f>;
 @group(0) @binding(4) var<storage, read> radii: array<f32>;
-@group(0) @binding(5) var<storage, read_write> statistics: array<TriangleStatistic>;
-// Their number, the number of those that were measured to the end, then the faces. Some drivers end loops early
-// without an error, and the host must not take such a face for a result.
-@group(0) @binding(6) var<storage, read_write> long_faces: array<atomic<u32>>;
+// Per cylinder those of its bottom triangles, then those of its top ones.
+@group(0) @binding(5) var<storage, read_write> triangle_values: array<u32>;
+@group(0) @binding(6) var<storage, read_write> triangle_support: array<TriangleSupport>;
+// Counts those that were measured to the end: some drivers end loops early without an error, and the host must
+// not take such a face for a result.
+@group(0) @binding(7) var<storage, read_write> listed_faces: array<atomic<u32>>;
 // One key per point.
-@group(0) @binding(7) var<storage, read_write> keys: array<u32>;
+@group(0) @binding(8) var<storage, read_write> keys: array<u32>;
 
 const THREADS: u32 = 256u;
 
@@ -43,12 +45,28 @@ fn sum_of(which: u32) -> Wide {
     return Wide(atomicLoad(&sum_low[which]), atomicLoad(&sum_high[which]));
 }
 
+// Keys of a face from place i on, THREADS apart: read together, since a device waits longer for memory than it
+// counts. EMPTY beyond the face's end.
+fn four_keys(i: u32, end: u32) -> vec4u {
+    let places = vec4u(i, i + THREADS, i + 2u * THREADS, i + 3u * THREADS);
+    let within = min(places, vec4u(end - 1u));
+    let four = vec4u(keys[within.x], keys[within.y], keys[within.z], keys[within.w]);
+    return select(four, vec4u(EMPTY), places >= vec4u(end));
+}
+
+// Counts a key by its first 11 bits.
+fn count_first(key: u32) {
+    if (key != EMPTY) {
+        atomicAdd(&histogram[key >> 21u], 1u);
+    }
+}
+
 // Counts a key for each of the ranks whose higher bits it has.
 fn count(key: u32, prefix: vec4u, shift: u32) {
     let digit = (key >> shift) & 0x7fu;
     let same = vec4u((key >> shift) >> 7u) == ((prefix >> vec4u(shift)) >> vec4u(7u));
     for (var which = 0u; which < 4u; which++) {
-        if (same[which]) {
+        if (same[which] && key != EMPTY) {
             atomicAdd(&histogram[128u * which + digit], 1u);
         }
     }
@@ -65,8 +83,12 @@ fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
         rest = ranks;
     }
     workgroupBarrier();
-    for (var i = begin + local; i < end; i += THREADS) {
-        atomicAdd(&histogram[keys[i] >> 21u], 1u);
+    for (var i = begin + local; i < end; i += 4u * THREADS) {
+        let four = four_keys(i, end);
+        count_first(four.x);
+        count_first(four.y);
+        count_first(four.z);
+        count_first(four.w);
     }
     workgroupBarrier();
     var own = 0u;
@@ -94,8 +116,12 @@ fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
         let prefix = chosen;
         let wanted = rest;
         workgroupBarrier();
-        for (var i = begin + local; i < end; i += THREADS) {
-            count(keys[i], prefix, shift);
+        for (var i = begin + local; i < end; i += 4u * THREADS) {
+            let four = four_keys(i, end);
+            count(four.x, prefix, shift);
+            count(four.y, prefix, shift);
+            count(four.z, prefix, shift);
+            count(four.w, prefix, shift);
         }
         workgroupBarrier();
         var counts = vec4u(0u);
@@ -138,6 +164,24 @@ fn plus(share: Share, d: f32, bounds: Bounds, scale: f32) -> Share {
     return share;
 }
 
+// Shares of both triangles, and the number of keys among which they were found.
+struct Shares {
+    seen: u32,
+    bottom: Share,
+    top: Share,
+}
+
+fn with_key(shares: Shares, key: u32, bottom: Bounds, top: Bounds, rule: Cylinder) -> Shares {
+    if (key == EMPTY) {
+        return shares;
+    }
+    let d = unpacked(key, rule.unit);
+    if ((key >> 31u) == 0u) {
+        return Shares(shares.seen + 1u, plus(shares.bottom, d, bottom, rule.scale), shares.top);
+    }
+    return Shares(shares.seen + 1u, shares.bottom, plus(shares.top, d, top, rule.scale));
+}
+
 fn add_share(half: u32, share: Share) {
     atomicAdd(&kept[half], share.kept);
     atomicAdd(&below[half], share.below);
@@ -159,22 +203,17 @@ fn sum_within(begin: u32, end: u32, bottom: Bounds, top: Bounds, rule: Cylinder,
         atomicStore(&seen, 0u);
     }
     workgroupBarrier();
-    var own = 0u;
-    var bottoms = NO_SHARE;
-    var tops = NO_SHARE;
-    for (var i = begin + local; i < end; i += THREADS) {
-        let key = keys[i];
-        let d = unpacked(key, rule.unit);
-        own += 1u;
-        if ((key >> 31u) == 0u) {
-            bottoms = plus(bottoms, d, bottom, rule.scale);
-        } else {
-            tops = plus(tops, d, top, rule.scale);
-        }
+    var shares = Shares(0u, NO_SHARE, NO_SHARE);
+    for (var i = begin + local; i < end; i += 4u * THREADS) {
+        let four = four_keys(i, end);
+        shares = with_key(shares, four.x, bottom, top, rule);
+        shares = with_key(shares, four.y, bottom, top, rule);
+        shares = with_key(shares, four.z, bottom, top, rule);
+        shares = with_key(shares, four.w, bottom, top, rule);
     }
-    atomicAdd(&seen, own);
-    add_share(0u, bottoms);
-    add_share(1u, tops);
+    atomicAdd(&seen, shares.seen);
+    add_share(0u, shares.bottom);
+    add_share(1u, shares.top);
     workgroupBarrier();
 }
 
@@ -195,11 +234,11 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     if (local == 0u) {
-        shared_count = atomicLoad(&long_faces[0]);
+        shared_count = atomicLoad(&listed_faces[LONG_COUNT]);
     }
     let long_count = workgroupUniformLoad(&shared_count);
     for (var index = workgroup_index(group, groups); index < long_count; index += groups.x * groups.y) {
-        let face_of_all = atomicLoad(&long_faces[index + 2u]);
+        let face_of_all = atomicLoad(&listed_faces[FIRST_LISTED + index]);
         let cylinder = face_of_all / parameters.faces;
         let face = face_of_all % parameters.faces;
         let rule = cylinders[cylinder];
@@ -211,20 +250,28 @@ fn main(
         let row = cylinder * parameters.node_count + level * parameters.nodes;
         let a = radii[row + j];
         let above = row + parameters.nodes;
-        let corners = Face(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
+        let shape = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
         if (local < 2u) {
             atomicStore(&number[local], 0u);
         }
         workgroupBarrier();
         var own_number = vec2u(0u);
-        for (var i = begin + local; i < end; i += THREADS) {
-            if (KEYED == 0u) {
-                let p = vec3f(grouped[3u * i] - a, grouped[3u * i + 1u], grouped[3u * i + 2u]);
-                let nearer = distance_to_face(p, corners, parameters.step_theta, parameters.step_z);
-                keys[i] = packed_key(nearer.distance, nearer.top, rule.scale);
+        if (KEYED == 0u) {
+            for (var i = begin + local; i < end; i += THREADS) {
+                let p = grouped[i];
+                let nearer = distance_to_face(vec3f(p.x - a, p.yz), shape);
+                let key = packed_key(nearer.distance, nearer.top, rule.scale);
+                keys[i] = key;
+                own_number += vec2u(1u - (key >> 31u), key >> 31u);
             }
-            let top = keys[i] >> 31u;
-            own_number += vec2u(1u - top, top);
+        } else {
+            for (var i = begin + local; i < end; i += 4u * THREADS) {
+                let four = four_keys(i, end);
+                let valid = select(vec4u(1u), vec4u(0u), four == vec4u(EMPTY));
+                let tops = (four >> vec4u(31u)) * valid;
+                let top = tops.x + tops.y + tops.z + tops.w;
+                own_number += vec2u(valid.x + valid.y + valid.z + valid.w - top, top);
+            }
         }
         atomicAdd(&number[0], own_number.x);
         atomicAdd(&number[1], own_number.y);
@@ -251,18 +298,22 @@ fn main(
             select_four(begin, end, vec4u(x, x, y, y), local);
         }
         if (local < 2u) {
-            var result = TriangleStatistic(0.0, count_kept[local], 0.0);
-            if (result.kept > 0u) {
-                result.value = mean_of(sum_of(local), rule.unit, result.kept);
-                result.residual = mean_of(sum_of(2u + local), rule.unit, result.kept);
+            var word = NO_VALUE;
+            var own = TriangleSupport(count_kept[local], 0.0);
+            if (own.kept > 0u) {
+                var value = mean_of(sum_of(local), rule.unit, own.kept);
                 if (parameters.statistic == STATISTIC_MEDIAN) {
-                    result.value = unpacked(chosen[2u * local], rule.unit);
+                    value = unpacked(chosen[2u * local], rule.unit);
                 }
+                word = value_word(value);
+                own.residual = mean_of(sum_of(2u + local), rule.unit, own.kept);
             }
-            statistics[(2u * cylinder + local) * parameters.faces + face] = result;
+            let triangle = (2u * cylinder + local) * parameters.faces + face;
+            triangle_values[triangle] = word;
+            triangle_support[triangle] = own;
         }
         if (local == 0u && atomicLoad(&seen) == end - begin) {
-            atomicAdd(&long_faces[1], 1u);
+            atomicAdd(&listed_faces[LONG_DONE], 1u);
         }
         workgroupBarrier();
     }

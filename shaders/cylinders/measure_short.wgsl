@@ -38,5 +38,5 @@ fn main(
 ) {
     subgroup = id;
     subgroup_width = width;
-    measure(workgroup_index(group, groups), group.z, id * width + lane);
+    measure_blocks(workgroup_index(group, groups), groups.x * groups.y, group.z, id * width + lane);
 }

@@ -1,13 +1,11 @@
 // Third step of the prefix sum over the faces' counts: where each face's points begin, and behind the last
-// face the number of all points. Lists the faces with more than `max_short` points, which measure_long takes,
-// in no particular order.
+// face the number of all points. Lists the faces that are not short, in no particular order.
 
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read> block_sums: array<u32>;
 @group(0) @binding(3) var<storage, read_write> offsets: array<u32>;
-// Their number, a word of measure_long's, then the faces.
-@group(0) @binding(4) var<storage, read_write> long_faces: array<atomic<u32>>;
+@group(0) @binding(4) var<storage, read_write> listed_faces: array<atomic<u32>>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -34,9 +32,12 @@ fn main(
         if (first + i < total) {
             offsets[first + i] = before;
             before += own[i];
-            if (own[i] > parameters.max_short) {
-                let index = atomicAdd(&long_faces[0], 1u);
-                atomicStore(&long_faces[index + 2u], first + i);
+            if (own[i] > parameters.max_middle) {
+                let index = atomicAdd(&listed_faces[LONG_COUNT], 1u);
+                atomicStore(&listed_faces[FIRST_LISTED + index], first + i);
+            } else if (own[i] > parameters.max_short) {
+                let index = atomicAdd(&listed_faces[MIDDLE_COUNT], 1u);
+                atomicStore(&listed_faces[arrayLength(&listed_faces) - 1u - index], first + i);
             }
             if (first + i + 1u == total) {
                 offsets[total] = before;

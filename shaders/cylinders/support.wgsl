@@ -2,7 +2,7 @@
 // cylinder: the number of kept points, and of all points in the section.
 
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
-@group(0) @binding(1) var<storage, read> statistics: array<TriangleStatistic>;
+@group(0) @binding(1) var<storage, read> triangle_support: array<TriangleSupport>;
 @group(0) @binding(2) var<storage, read_write> support: array<u32>;
 @group(0) @binding(3) var<storage, read_write> residuals: array<f32>;
 @group(0) @binding(4) var<storage, read_write> tallies: array<atomic<u32>>;
@@ -16,7 +16,7 @@ struct Sum {
 }
 
 fn plus(sum: Sum, triangle: u32) -> Sum {
-    let s = statistics[triangle];
+    let s = triangle_support[triangle];
     return Sum(sum.count + s.kept, sum.total + f32(s.kept) * s.residual);
 }
 
@@ -55,7 +55,7 @@ fn main(
         residuals[cylinder * parameters.node_count + node] = sum.total / f32(max(1u, sum.count));
     }
     if (node < parameters.faces) {
-        atomicAdd(&own_kept, statistics[bottom + node].kept + statistics[top + node].kept);
+        atomicAdd(&own_kept, triangle_support[bottom + node].kept + triangle_support[top + node].kept);
     }
     workgroupBarrier();
     if (local == 0u) {

@@ -4,8 +4,8 @@
 
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
-// Per cylinder its bottom triangles, then its top ones.
-@group(0) @binding(2) var<storage, read> statistics: array<TriangleStatistic>;
+// Per cylinder those of its bottom triangles, then those of its top ones.
+@group(0) @binding(2) var<storage, read> triangle_values: array<u32>;
 @group(0) @binding(3) var<storage, read_write> radii: array<f32>;
 // Per cylinder: the sum of |travel| in fixed point, low and high word.
 @group(0) @binding(4) var<storage, read_write> travels: array<atomic<u32>>;
@@ -26,10 +26,10 @@ fn bottom_of(bottom: u32, top: u32, level: u32, j: u32, next: u32) -> f32 {
     let has_below = level > 0u;
     let below = select(row, row - parameters.nodes, has_below) + j;
     return bottom_value(
-        statistics[bottom + row + j],
-        statistics[top + row + j].value,
-        statistics[top + row + next].value,
-        statistics[top + below].value,
+        triangle_values[bottom + row + j],
+        value_of(triangle_values[top + row + j]),
+        value_of(triangle_values[top + row + next]),
+        value_of(triangle_values[top + below]),
         has_below,
     );
 }
@@ -86,11 +86,11 @@ fn main(
         workgroupBarrier();
         let left = max(local, 1u) - 1u;
         if (has_below) {
-            let own = statistics[top + (ring - 1u) * nodes + j];
+            let own = triangle_values[top + (ring - 1u) * nodes + j];
             top_below[local] = top_value(own, below, bottom_below[left], above, has_above);
         }
         if (has_above) {
-            let own = statistics[top + ring * nodes + j];
+            let own = triangle_values[top + ring * nodes + j];
             top_above[local] = top_value(own, above, bottom_above[left], next_above, has_next);
         }
         workgroupBarrier();

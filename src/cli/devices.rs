@@ -103,7 +103,7 @@ fn mebibytes(bytes: u64) -> u64 {
     bytes >> 20
 }
 
-/// Points that one tube can have, in millions: 12 bytes each, in one binding.
+/// Points that one tube can have, in millions: 16 bytes each, in one binding.
 fn points(adapter: &AdapterDescription) -> u64 {
-    adapter.max_storage_binding_bytes.min(adapter.max_buffer_bytes) / 12_000_000
+    adapter.max_storage_binding_bytes.min(adapter.max_buffer_bytes) / 16_000_000
 }

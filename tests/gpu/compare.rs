@@ -105,12 +105,13 @@ pub fn decisions(
     }
 }
 
-/// Places: whatever the order in which the device gave them, those of each group are 0, 1, 2, … once each.
+/// The groups of all, then their places: whatever the order in which the device gave these, those of each group are
+/// 0, 1, 2, … once each.
 pub fn places(found: &Readback, group_of_each: &[u32], groups: usize) -> Result<(), String> {
     written(found, 2 * group_of_each.len())?;
     let mut taken = vec![Vec::new(); groups];
     for (i, &group) in group_of_each.iter().enumerate() {
-        let [of, place] = [found.words[2 * i], found.words[2 * i + 1]];
+        let [of, place] = [found.words[i], found.words[group_of_each.len() + i]];
         if of != group {
             return Err(format!("point {i}: face {of}, expected {group}"));
         }
@@ -147,7 +148,7 @@ mod controls {
     fn equal_data_pass() {
         integers(&wrote(&[3, 1, 2]), &[3, 1, 2]).unwrap();
         numbers(&wrote(&bits(&NUMBERS)), &NUMBERS, Tolerance::Bits).unwrap();
-        places(&wrote(&[0, 1, 1, 0, 0, 0, POISON, 0]), &[0, 1, 0, POISON], 2).unwrap();
+        places(&wrote(&[0, 1, 0, POISON, 1, 0, 0, 0]), &[0, 1, 0, POISON], 2).unwrap();
         let entries = [Some((1.0, 3, 0.5)), None];
         let words = [1.0_f32.to_bits(), 3, 0.5_f32.to_bits(), POISON, POISON, POISON];
         decisions(&wrote(&words), &entries, Tolerance::Bits, NEVER).unwrap();

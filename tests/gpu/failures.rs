@@ -102,21 +102,21 @@ fn too_large_a_job_is_refused_with_both_numbers() {
         Ok(_) => panic!("a request of {points} points was accepted"),
     };
     let (name, needed) = refused(u32::MAX, &Settings::default());
-    assert_eq!((name.as_str(), needed), ("section", 12 * u64::from(u32::MAX)));
-    // One point too many.
-    if let Ok(most) = u32::try_from(allowed / 12) {
+    assert_eq!((name.as_str(), needed), ("grouped", 16 * u64::from(u32::MAX)));
+    // One point too many: grouped points take 16 bytes each.
+    if let Ok(most) = u32::try_from(allowed / 16) {
         refused(most + 1, &Settings::default());
     }
     let faces = 1 << 28;
     let (name, needed) = refused(10, &Settings::default().with_nodes(faces).with_levels(1));
-    assert_eq!((name.as_str(), needed), ("statistics", 24 * u64::from(faces)));
+    assert_eq!((name.as_str(), needed), ("triangle_support", 16 * u64::from(faces)));
     let failed = device.engine.prepare(u32::MAX, RADIUS_MM, &Settings::default()).err().unwrap();
     let message = failed.to_string();
-    assert!(message.contains(&needed_and_allowed(12 * u64::from(u32::MAX), allowed)), "{message}");
+    assert!(message.contains(&needed_and_allowed(16 * u64::from(u32::MAX), allowed)), "{message}");
 }
 
 fn needed_and_allowed(needed: u64, allowed: u64) -> String {
-    format!("needs {needed} bytes for section, the device allows {allowed} at most")
+    format!("needs {needed} bytes for grouped, the device allows {allowed} at most")
 }
 
 #[test]

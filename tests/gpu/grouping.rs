@@ -7,7 +7,7 @@ use lumenmesh::cylinders::Tube;
 use lumenmesh::cylinders::{FitRequest, Track};
 use lumenmesh::low_level::cylinders::group;
 use lumenmesh::low_level::cylinders::passes::{
-    Section, TubeGrid, bin, long_faces, scan_downsweep, scan_reduce, scan_spine,
+    FitParameters, LIST_HEAD, Section, TubeGrid, bin, listed_faces, scan_downsweep, scan_reduce, scan_spine,
 };
 use lumenmesh::settings::Settings;
 use rand::RngExt;
@@ -61,15 +61,18 @@ pub fn bins_and_scatters(device: &Device, section: &Section<f32>, settings: &Set
         integers(&counted, &of_twin).unwrap();
         places(&placed, &face_of_each, tube.face_count()).unwrap();
     }
+    let faces_then_places: Vec<u32> =
+        [0, 1].iter().flat_map(|&of| in_order.iter().map(move |pair: &[u32; 2]| pair[of])).collect();
     let inputs = [
         points,
-        ("places", bytemuck::cast_slice(&in_order)),
+        ("places", bytemuck::cast_slice(&faces_then_places)),
         ("offsets", bytemuck::cast_slice(&groups.offsets)),
     ];
     let [grouped] = device.run(&workspace, "scatter", &inputs, ["grouped"]);
     // θ and z less that of the corner: one product, one or two differences.
     let tolerance = Tolerance::of(device.exact, 4.0, 2.0 * std::f64::consts::TAU.max(settings.height_mm));
-    numbers(&grouped, groups.points.as_flattened(), tolerance).unwrap();
+    let expected: Vec<f32> = groups.points.iter().flat_map(|[r, theta, z]| [*r, *theta, *z, 0.0]).collect();
+    numbers(&grouped, &expected, tolerance).unwrap();
 }
 
 #[test]
@@ -83,14 +86,14 @@ fn bin_and_scatter_are_their_twin() {
     }
 }
 
-/// More points than one window of places has, window by window, and a last window that is not full.
+/// More points than two windows have, window by window of faces.
 #[test]
 fn scatter_writes_window_by_window() {
     let Some(device) = device_of_a_host() else { return };
     let settings = Settings::default().with_nodes(64).with_levels(48);
     let count = (2 << 21) + 1;
     let workspace = device.engine.prepare(count, RADIUS_MM, &settings).unwrap();
-    assert_eq!(workspace.parameters().window, 1 << 21);
+    assert_eq!(workspace.parameters().window, 64 * 48 / 3);
     bins_and_scatters(device, &wall(count as usize, 241), &settings);
 }
 
@@ -168,7 +171,7 @@ fn the_scan_is_a_running_sum() {
         let inputs = [
             counts_bytes,
             ("block_sums", bytemuck::cast_slice(&before)),
-            ("long_faces", bytemuck::cast_slice(&[0_u32])),
+            ("listed_faces", bytemuck::cast_slice(&[0_u32; LIST_HEAD])),
         ];
         let [found] = device.run(&workspace, "scan_downsweep", &inputs, ["offsets"]);
         integers(&found, &offsets).unwrap();
@@ -177,35 +180,43 @@ fn the_scan_is_a_running_sum() {
 }
 
 #[test]
-fn long_faces_are_those_above_the_short_capacity() {
+fn listed_faces_are_those_above_the_capacities() {
     let Some(device) = device() else { return };
     let mut rng = seeded(29);
     for faces in [3_u32, 255, 256, 257, 1023, 1024, 1025] {
         let settings = Settings::default().with_nodes(faces).with_levels(1);
-        // As many points a face as leave four lanes to a face, of whatever way.
-        let workspace = device.engine.prepare(15 * faces, RADIUS_MM, &settings).unwrap();
-        let most = workspace.parameters().max_short;
-        assert_eq!(most, 32);
         let counts: Vec<u32> = (0..faces)
-            .map(|face| match face % 5 {
-                0 => most,
-                1 if face % 2 == 1 => most + 1,
+            .map(|face| match face % 40 {
+                0 => 32,
+                1 | 21 => 33,
                 2 => 0,
+                3 => 257,
+                4 => 256,
                 _ => rng.random_range(0..5),
             })
             .collect();
+        // So many points per face that four lanes measure a short one and 32 one of middle size.
+        let points = counts.iter().sum();
+        let workspace = device.engine.prepare(points, RADIUS_MM, &settings).unwrap();
+        let FitParameters { max_short, max_middle, .. } = *workspace.parameters();
+        assert_eq!([max_short, max_middle], [32, 256]);
         let mut before = scan_reduce(&counts);
         scan_spine(&mut before);
-        let expected = long_faces(&counts, most);
         let inputs = [
             ("counts", bytemuck::cast_slice(&counts)),
             ("block_sums", bytemuck::cast_slice(&before)),
-            ("long_faces", bytemuck::cast_slice(&[0_u32, 7])),
+            ("listed_faces", bytemuck::cast_slice(&[0_u32, 7, 0])),
         ];
-        let [mut found] = device.run(&workspace, "scan_downsweep", &inputs, ["long_faces"]);
-        let count = found.words[0] as usize;
+        let [mut found] = device.run(&workspace, "scan_downsweep", &inputs, ["listed_faces"]);
+        let words = found.words.len();
+        let expected = listed_faces(&counts, max_short, max_middle, words);
+        let (long, middle) = (expected[0] as usize, expected[2] as usize);
         // In any order; the word between is another pass's.
-        found.words[2..2 + count].sort_unstable();
-        integers(&found, &[&[expected.len() as u32, 7], &expected[..]].concat()).unwrap();
+        assert_eq!(found.words[..LIST_HEAD], [long as u32, 7, middle as u32]);
+        found.words[LIST_HEAD..LIST_HEAD + long].sort_unstable();
+        assert_eq!(found.words[LIST_HEAD..LIST_HEAD + long], expected[LIST_HEAD..LIST_HEAD + long]);
+        found.words[words - middle..].sort_unstable_by(|a, b| b.cmp(a));
+        assert_eq!(found.words[words - middle..], expected[words - middle..]);
+        assert!(faces < 4 || (long > 0 && middle > 1));
     }
 }

@@ -45,7 +45,7 @@ fn ten_million_points_and_four_million_faces_within_8_gib() {
 fn a_face_with_more_points_than_a_driver_s_loops_allow_is_never_a_wrong_result() {
     let Some(device) = device() else { return };
     let settings = Settings::default().with_nodes(3).with_levels(1).with_iterations(1);
-    let section = wall(10_000_000, 168);
+    let section = wall(8_300_000, 168);
     match device.engine.fit_section(&section, RADIUS_MM, &settings) {
         Ok(found) => {
             let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap().tube;

@@ -2,13 +2,14 @@
 
 use crate::compare::{Entry, Tolerance, decisions, entries_alike};
 use crate::cylinders::{assert_agree, assert_same};
-use crate::device::{Device, device, device_of_a_host, device_without_subgroups};
+use crate::device::{Device, POISON, Readback, device, device_of_a_host, device_without_subgroups};
 use crate::nudge::{Nudge, nudges};
 use crate::sections::{RADIUS_MM, seeded, wall};
 use lumenmesh::cylinders::{CpuEngine, Engine, Tube};
 use lumenmesh::low_level::cylinders::gpu::LANES;
 use lumenmesh::low_level::cylinders::passes::{
-    Face, Filter, TriangleStatistic, TubeGrid, distance, measure_long, measure_short,
+    Face, Filter, FitParameters, LIST_HEAD, TriangleStatistic, TubeGrid, distance, listed_faces, measure_long,
+    measure_short,
 };
 use lumenmesh::settings::{Outliers, Settings, Statistic};
 use rand::RngExt;
@@ -87,49 +88,49 @@ impl Faces {
         let (row, j) = (face - face % tube.nodes, face % tube.nodes);
         let k = tube.next(j);
         let a = self.radii[row + j];
-        let corners = Face {
-            b: moved(self.radii[row + k] - a, 1.0),
-            b_above: moved(self.radii[row + tube.nodes + k] - a, 1.0),
-            a_above: moved(self.radii[row + tube.nodes + j] - a, 1.0),
-            step_theta: grid.step_theta,
-            step_z: grid.step_z,
-        };
+        let above = row + tube.nodes;
+        let corners = [row + k, above + k, above + j].map(|node| moved(self.radii[node] - a, 1.0));
+        let corners = Face::new(corners, &grid);
         let mut distances = [Vec::new(), Vec::new()];
         for [r, theta, z] in &self.points[self.offsets[face] as usize..self.offsets[face + 1] as usize] {
             let point = [moved(r - a, 4.0), moved(*theta, 1.0), moved(*z, 1.0)];
-            let (signed, top) = distance(point, &corners);
+            let (signed, top) = distance(point, &corners, &grid);
             distances[usize::from(top)].push(signed);
         }
         let measure = if long { measure_long } else { measure_short };
         distances.map(|d| measure(&d, rule, &mut Vec::new()))
     }
 
-    /// Runs a pass that measures long faces or one that measures short ones: it writes those, all of those,
-    /// and no others.
+    /// Runs a pass that measures the faces of a class: it writes those, all of those, and no others.
     fn agrees(&self, device: &Device, settings: &Settings, pass: &str) {
         let long = pass.starts_with("measure_long");
         let count = self.points.len() as u32;
         let workspace = device.engine.prepare(count, RADIUS_MM, settings).unwrap();
-        let max_short = workspace.parameters().max_short;
+        let FitParameters { max_short, max_middle, .. } = *workspace.parameters();
+        let is_own = |size: u32| match pass.starts_with("measure_middle") {
+            true => size > max_short && size <= max_middle,
+            false if long => size > max_middle,
+            false => size <= max_short,
+        };
         let rule = Filter::new(settings, RADIUS_MM);
         let faces = self.tube.face_count();
         let mut expected = vec![None; 2 * faces];
-        let mut listed = vec![0_u32, 0];
-        for face in (0..faces).filter(|&f| (self.size(f) > max_short) == long) {
+        for face in (0..faces).filter(|&f| is_own(self.size(f))) {
             for (half, s) in self.twin(face, &rule, long, None).into_iter().enumerate() {
                 expected[half * faces + face] = Some((s.value, s.kept, s.residual));
             }
-            listed.push(face as u32);
         }
-        listed[0] = listed.len() as u32 - 2;
+        assert!(expected.iter().any(Option::is_some), "no face for {pass}");
+        let grouped: Vec<[f32; 4]> = self.points.iter().map(|[r, theta, z]| [*r, *theta, *z, 0.0]).collect();
+        let counts: Vec<u32> = (0..faces).map(|face| self.size(face)).collect();
+        let most = faces.min(count as usize / (max_short as usize + 1));
+        let listed = listed_faces(&counts, max_short, max_middle, (LIST_HEAD + most).max(4));
         let mut inputs = vec![
             ("offsets", bytemuck::cast_slice(&self.offsets)),
-            ("grouped", bytemuck::cast_slice(&self.points)),
+            ("grouped", bytemuck::cast_slice(&grouped)),
             ("radii", bytemuck::cast_slice(&self.radii)),
         ];
-        if long {
-            inputs.push(("long_faces", bytemuck::cast_slice(&listed)));
-        }
+        inputs.push(("listed_faces", bytemuck::cast_slice(&listed)));
         // The keys that `distance` writes are what measure_long would write itself.
         let keys = (pass == "measure_long_keyed").then(|| {
             let [keys] = device.run(&workspace, "distance", &inputs[..3], ["keys"]);
@@ -138,7 +139,9 @@ impl Faces {
         if let Some(keys) = &keys {
             inputs.push(("keys", bytemuck::cast_slice(keys)));
         }
-        let [found] = device.run(&workspace, pass, &inputs, ["statistics"]);
+        let outputs = ["triangle_values", "triangle_support"];
+        let [values, support] = device.run(&workspace, pass, &inputs, outputs);
+        let found = entries(&values, &support);
         // A distance is some 60 operations on differences of a few mm; the fixed-point step and the mean add
         // two roundings. A point may change its triangle, or fall on the other side of a fence.
         let tolerance = Tolerance::of(device.exact, 128.0, 6.0);
@@ -151,6 +154,23 @@ impl Faces {
             !device.exact && nudges().any(one)
         };
         decisions(&found, &expected, tolerance, &is_explained).unwrap();
+    }
+}
+
+/// Value, number and residual of each triangle, from what a pass wrote.
+fn entries(values: &Readback, support: &Readback) -> Readback {
+    let value = |word: u32| match word {
+        POISON => POISON,
+        0 => 0,
+        word => !word,
+    };
+    let together = |values: &[u32], support: &[u32]| {
+        let pairs = values.iter().zip(support.chunks_exact(2));
+        pairs.flat_map(|(&word, support)| [value(word), support[0], support[1]]).collect()
+    };
+    Readback {
+        before: together(&values.before, &support.before),
+        words: together(&values.words, &support.words),
     }
 }
 
@@ -261,20 +281,69 @@ fn faces_of_very_many_points_are_shared_between_workgroups() {
     }
 }
 
+/// 300 faces with some of these sizes and others, so that the mean is as given.
+fn with_others(mut sizes: Vec<u32>, mean: u32) -> (Settings, Vec<u32>) {
+    let (rest, others) = (300 * mean - sizes.iter().sum::<u32>(), 300 - sizes.len() as u32);
+    sizes.extend((0..others).map(|face| rest * (face + 1) / others - rest * face / others));
+    (Settings::default().with_nodes(20).with_levels(15), sizes)
+}
+
+/// The lanes of a face of middle size, where there is one.
+fn middle_lanes(lanes: u32) -> Option<u32> {
+    (lanes < 32).then_some((8 * lanes).min(32))
+}
+
 #[test]
-fn measure_long_begins_right_above_each_short_capacity() {
+fn measure_middle_is_its_twin_with_every_number_of_lanes() {
     for (device, _, lanes_and_means) in ways() {
         for (lanes, mean) in lanes_and_means {
-            let capacity = 8 * lanes;
-            let mut sizes = vec![capacity + 1, capacity, capacity + 2, 2 * capacity];
-            let (rest, others) = (60 * mean - sizes.iter().sum::<u32>(), 56);
-            sizes.extend((0..others).map(|face| rest * (face + 1) / others - rest * face / others));
-            let settings = Settings::default();
+            let Some(middle) = middle_lanes(lanes) else { continue };
+            let width = device.engine.subgroup_width();
+            let pass = match width.is_some_and(|width| middle <= width) {
+                true => "measure_middle",
+                false => "measure_middle_shared",
+            };
+            let [least, most] = [8 * lanes + 1, 8 * middle];
+            let sizes = vec![least, least - 1, least + 1, most - 1, most, most + 1];
+            let (settings, sizes) = with_others(sizes, mean);
+            for pattern in PATTERNS {
+                for (outliers, statistic) in all_rules() {
+                    let settings = settings.clone().with_outliers(outliers).with_statistic(statistic);
+                    Faces::new(&settings, &sizes, pattern).agrees(device, &settings, pass);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn measure_long_begins_right_above_each_capacity() {
+    for (device, _, lanes_and_means) in ways() {
+        for (lanes, mean) in lanes_and_means {
+            let capacity = 8 * middle_lanes(lanes).unwrap_or(lanes);
+            let (settings, sizes) =
+                with_others(vec![capacity + 1, capacity, capacity + 2, 2 * capacity], mean);
             let faces = Faces::new(&settings, &sizes, Pattern::Random);
-            let workspace = device.engine.prepare(60 * mean, RADIUS_MM, &settings).unwrap();
-            assert_eq!(workspace.parameters().max_short, capacity);
+            let workspace = device.engine.prepare(300 * mean, RADIUS_MM, &settings).unwrap();
+            assert_eq!(workspace.parameters().max_middle, capacity);
             faces.agrees(device, &settings, "measure_long");
         }
+    }
+}
+
+/// More faces of middle size, of several cylinders, than workgroups have room for at a time.
+#[test]
+fn many_faces_of_middle_size_are_all_measured() {
+    for (device, _, _) in ways() {
+        let settings = Settings::default().with_nodes(100).with_levels(90);
+        let sizes: Vec<u32> = (0..9000).map(|face| if face % 3 == 0 { 9 + face % 50 } else { 0 }).collect();
+        let mean = sizes.iter().sum::<u32>() / 9000;
+        assert!(mean > 8);
+        let pass = match device.engine.subgroup_width().is_some_and(|width| width >= 32) {
+            true => "measure_middle",
+            false => "measure_middle_shared",
+        };
+        Faces::new(&settings, &sizes, Pattern::Random).agrees(device, &settings, pass);
     }
 }
 

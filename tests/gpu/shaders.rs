@@ -2,7 +2,7 @@
 
 use lumenmesh::low_level::cylinders::gpu::{LANES, PASSES};
 use lumenmesh::low_level::cylinders::passes::{
-    DeviceCylinder, DevicePair, FitParameters, NONE, TriangleStatistic,
+    DeviceCylinder, DevicePair, FitParameters, LIST_HEAD, NONE, TriangleStatistic,
 };
 use lumenmesh::low_level::gpu::{Access, Shader};
 use lumenmesh::low_level::sweep;
@@ -193,9 +193,12 @@ fn pipeline_constants_are_those_of_the_pass_table() {
         let given: BTreeSet<_> = pass.constants.iter().map(|(name, _)| *name).chain(variants).collect();
         assert_eq!(found, given, "{}", pass.name);
     }
-    for (pass, other, constant) in
-        [("bin", "bin_few", "FEW"), ("measure_long", "measure_long_keyed", "KEYED")]
-    {
+    for (pass, other, constant) in [
+        ("bin", "bin_few", "FEW"),
+        ("measure_short", "measure_middle", "MIDDLE"),
+        ("measure_short_shared", "measure_middle_shared", "MIDDLE"),
+        ("measure_long", "measure_long_keyed", "KEYED"),
+    ] {
         assert_eq!(
             (row(pass).constants, row(other).constants),
             (&[(constant, 0.0)][..], &[(constant, 1.0)][..])
@@ -219,14 +222,16 @@ macro_rules! fields {
 #[test]
 fn structures_have_the_same_layout() {
     let parameters = fields!(FitParameters: nodes, levels, faces, node_count, cylinders, slots, outliers, statistic,
-        half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, max_short, pairs, window);
+        half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, max_short, max_middle, pairs,
+        window);
     let cylinder = fields!(DeviceCylinder: gate_low, gate_high, scale, unit);
-    let statistic = fields!(TriangleStatistic<f32>: value, kept, residual);
     for pass in fit() {
         assert_eq!(layout(&module(pass), "FitParameters"), parameters, "{}", pass.name);
     }
     assert_eq!(layout(&module(row("project")), "Cylinder"), cylinder);
-    assert_eq!(layout(&module(row("support")), "TriangleStatistic"), statistic);
+    // As `TriangleStatistic::support_words` writes it.
+    let support = (8, vec![("kept".to_owned(), 0), ("residual".to_owned(), 4)]);
+    assert_eq!(layout(&module(row("support")), "TriangleSupport"), support);
 
     // A vector of three numbers is three numbers in the shader, where its own would be aligned to 16 bytes.
     let flat = |fields: Vec<(String, u32)>, vector: &str, names: [&str; 3]| {
@@ -296,7 +301,7 @@ fn constant(module: &Module, name: &str) -> u32 {
 fn constants_are_those_of_rust() {
     let parameters = |outliers, statistic| {
         let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
-        FitParameters::new(&settings, 1, 0, None, 4)
+        FitParameters::new(&settings, 1, 0, None, [4, 32])
     };
     let shader = module(row("measure_long"));
     for (name, outliers) in [
@@ -310,6 +315,8 @@ fn constants_are_those_of_rust() {
         assert_eq!(constant(&shader, name), parameters(Outliers::Iqr, statistic).statistic);
     }
     assert_eq!(constant(&shader, "NONE"), NONE);
+    assert_eq!(constant(&shader, "FIRST_LISTED") as usize, LIST_HEAD);
+    assert_eq!(constant(&shader, "NO_VALUE"), TriangleStatistic::<f32>::default().value_word());
     assert_eq!(constant(&shader, "THREADS"), row("measure_long").workgroup_size);
 }
 
@@ -317,8 +324,7 @@ fn constants_are_those_of_rust() {
 fn a_short_face_has_room_for_all_its_points() {
     for name in ["measure_short", "measure_short_shared"] {
         let module = module(row(name));
-        let (_, lanes) = module.overrides.iter().next().unwrap();
-        assert_eq!(lanes.name.as_deref(), Some("LANES"));
+        let (_, lanes) = module.overrides.iter().find(|(_, o)| o.name.as_deref() == Some("LANES")).unwrap();
         assert!(LANES.contains(&literal(&module, lanes.init.unwrap())));
         let length = |name: &str| {
             let (_, variable) =
@@ -331,11 +337,11 @@ fn a_short_face_has_room_for_all_its_points() {
         assert_eq!(constant(&module, "THREADS"), row(name).workgroup_size);
         for lanes in LANES {
             let faces = row(name).workgroup_size / lanes;
-            let capacity = FitParameters::new(&Settings::default(), 1, 0, None, lanes).max_short;
+            let capacity = FitParameters::new(&Settings::default(), 1, 0, None, [lanes, 0]).max_short;
             // Eight keys an invocation.
             assert_eq!(capacity, 8 * lanes);
             assert!(length("keys") >= faces * capacity, "{lanes} lanes");
-            assert!(length("corners") >= faces && length("begins") >= faces && length("starts") > faces);
+            assert!(length("shapes") >= faces && length("begins") >= faces && length("starts") > faces);
         }
         assert_eq!(constant(&module, "EMPTY"), u32::MAX);
     }

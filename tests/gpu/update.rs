@@ -25,9 +25,9 @@ fn statistics(triangles: usize, empty: f64, seed: u64) -> Vec<TriangleStatistic<
         .collect()
 }
 
-/// As the device holds them.
-fn words(statistics: &[TriangleStatistic<f32>]) -> Vec<[u32; 3]> {
-    statistics.iter().map(|s| [s.value.to_bits(), s.kept, s.residual.to_bits()]).collect()
+/// Their values as the device holds them.
+fn values(statistics: &[TriangleStatistic<f32>]) -> Vec<u32> {
+    statistics.iter().map(TriangleStatistic::value_word).collect()
 }
 
 /// Runs `work` on a workspace of three cylinders, for tubes with a number of faces about the 64 invocations of
@@ -73,9 +73,9 @@ fn update_is_its_twin() {
         let (faces, nodes) = (tube.face_count(), tube.node_count());
         let mut rng = seeded(47);
         let before: Vec<f32> = (0..3 * nodes).map(|_| rng.random_range(9.0..15.0)).collect();
-        let words = words(statistics);
+        let words = values(statistics);
         let inputs = [
-            ("statistics", bytemuck::cast_slice(&words)),
+            ("triangle_values", bytemuck::cast_slice(&words)),
             ("radii", bytemuck::cast_slice(&before)),
             ("travels", bytemuck::cast_slice(&[0_u32; 6])),
         ];
@@ -115,10 +115,10 @@ fn update_takes_nodes_in_turn() {
         let workspace = device.engine.prepare(10, RADIUS_MM, &settings).unwrap();
         let (tube, filter) = (Tube::new(&settings), Filter::<f32>::new(&settings, RADIUS_MM));
         let statistics = statistics(2 * tube.face_count(), 0.2, 211);
-        let words = words(&statistics);
+        let words = values(&statistics);
         let before = vec![12.0_f32; tube.node_count()];
         let inputs = [
-            ("statistics", bytemuck::cast_slice(&words)),
+            ("triangle_values", bytemuck::cast_slice(&words)),
             ("radii", bytemuck::cast_slice(&before)),
             ("travels", bytemuck::cast_slice(&[0_u32; 2])),
         ];
@@ -146,9 +146,9 @@ fn support_is_its_twin() {
             tallies.push(offsets[(cylinder + 1) * faces] - offsets[cylinder * faces]);
         }
         assert_eq!(tallies.len(), 2 * request.frames.len());
-        let words = words(statistics);
+        let words: Vec<[u32; 2]> = statistics.iter().map(TriangleStatistic::support_words).collect();
         let inputs = [
-            ("statistics", bytemuck::cast_slice(&words)),
+            ("triangle_support", bytemuck::cast_slice(&words)),
             ("offsets", bytemuck::cast_slice(&offsets)),
             ("tallies", bytemuck::cast_slice(&[0_u32; 6])),
         ];

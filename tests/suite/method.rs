@@ -7,7 +7,9 @@ use lumenmesh::cylinders::{CpuEngine, Engine, FitRequest, FittedCylinder, Track,
 use lumenmesh::cylinders::{CylinderReconstruction, write_cylinders};
 use lumenmesh::evaluate::Truth;
 use lumenmesh::geometry::Pose;
-use lumenmesh::low_level::cylinders::passes::{Face, Gate, Section, TubeTransform, distance, project};
+use lumenmesh::low_level::cylinders::passes::{
+    Face, Gate, Section, TubeGrid, TubeTransform, distance, project,
+};
 use lumenmesh::low_level::numerics::Scalar;
 use lumenmesh::recording::{CylinderModel, Frame, Recording};
 use lumenmesh::settings::{Merge, Outliers, Settings, Statistic};
@@ -85,18 +87,23 @@ fn on_a_frustum_the_error_falls_and_stays_largest_at_the_ends() {
     assert!(largest(first_ring).min(largest(last_ring)) > largest(inner));
 }
 
+/// The grid of a tube 10 mm high.
+fn grid<T: Scalar>(nodes: usize, levels: usize) -> TubeGrid<T> {
+    TubeGrid::new(&Tube { nodes, levels, height_mm: 10.0 })
+}
+
 /// A face and its corners as points (r, θ, z) less corner a.
-fn some_face(rng: &mut ChaCha8Rng, nodes: f64, levels: f64) -> (Face<f64>, [DVec3; 4]) {
+fn some_face(rng: &mut ChaCha8Rng, grid: &TubeGrid<f64>) -> (Face<f64>, [DVec3; 4]) {
     let mut radius = || rng.random_range(-3.0..3.0);
     let (b, b_above, a_above) = (radius(), radius(), radius());
-    let (step_theta, step_z) = (TAU / nodes, 10.0 / levels);
+    let TubeGrid { step_theta, step_z, .. } = *grid;
     let corners = [
         DVec3::ZERO,
         DVec3::new(b, step_theta, 0.0),
         DVec3::new(b_above, step_theta, step_z),
         DVec3::new(a_above, 0.0, step_z),
     ];
-    (Face { b, b_above, a_above, step_theta, step_z }, corners)
+    (Face::new([b, b_above, a_above], grid), corners)
 }
 
 /// Points about a face: over its inside, its edges and its corners, near and far.
@@ -119,16 +126,15 @@ fn the_signed_distance_is_that_to_the_nearer_triangle() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let (mut regions, mut tops) = ([0; 7], 0);
     let mut tested = 0;
-    for (nodes, levels) in
-        [(3.0, 1.0), (12.0, 5.0), (24.0, 8.0), (360.0, 100.0), (2048.0, 512.0), (2048.0, 1.0)]
-    {
+    for (nodes, levels) in [(3, 1), (12, 5), (24, 8), (360, 100), (2048, 512), (2048, 1)] {
+        let grid = grid(nodes, levels);
         for _ in 0..1500 {
-            let (face, corners) = some_face(&mut rng, nodes, levels);
+            let (face, corners) = some_face(&mut rng, &grid);
             let [a, b, b_above, a_above] = corners;
             let bottom = Triangle::new(a, b, b_above);
             let top = Triangle::new(a, b_above, a_above);
             for p in some_points(&mut rng, &corners) {
-                let (found, nearer_top) = distance(p.to_array(), &face);
+                let (found, nearer_top) = distance(p.to_array(), &face, &grid);
                 let nearest = |t: &Triangle| t.project_local_point(p, false).point;
                 let (q1, q2) = (nearest(&bottom), nearest(&top));
                 let (d1, d2) = (p.distance(q1), p.distance(q2));
@@ -173,9 +179,10 @@ fn region(t: &Triangle, q: DVec3) -> usize {
 fn over_the_fold_the_triangles_tie_and_the_point_goes_to_bottom() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let mut ties = 0;
-    for (nodes, levels) in [(12.0, 5.0), (24.0, 8.0), (2048.0, 512.0)] {
+    for (nodes, levels) in [(12, 5), (24, 8), (2048, 512)] {
+        let (grid, single_grid) = (grid(nodes, levels), grid::<f32>(nodes, levels));
         for _ in 0..20_000 {
-            let (face, [a, b, b_above, a_above]) = some_face(&mut rng, nodes, levels);
+            let (face, [a, b, b_above, a_above]) = some_face(&mut rng, &grid);
             // Into each triangle, square to the diagonal.
             let diagonal = b_above - a;
             let into = |corner: DVec3| corner.reject_from(diagonal).normalize();
@@ -188,17 +195,11 @@ fn over_the_fold_the_triangles_tie_and_the_point_goes_to_bottom() {
             let foot = diagonal * rng.random_range(0.05..0.95);
             let p = foot + away * rng.random_range(0.01..5.0);
             ties += 1;
-            let (found, nearer_top) = distance(p.to_array(), &face);
+            let (found, nearer_top) = distance(p.to_array(), &face, &grid);
             assert!((found.abs() - p.distance(foot)).abs() < 1e-12 && !nearer_top, "f64: {p} {face:?}");
             let single = |x: f64| x as f32;
-            let face = Face {
-                b: single(face.b),
-                b_above: single(face.b_above),
-                a_above: single(face.a_above),
-                step_theta: single(face.step_theta),
-                step_z: single(face.step_z),
-            };
-            assert!(!distance(p.to_array().map(single), &face).1, "f32: {p} {face:?}");
+            let face = Face::new([b.x, b_above.x, a_above.x].map(single), &single_grid);
+            assert!(!distance(p.to_array().map(single), &face, &single_grid).1, "f32: {p} {face:?}");
         }
     }
     println!("{ties} ties");

@@ -4,20 +4,24 @@
 // include this one differ in how.
 
 override LANES: u32 = 8u;
+// 1: the faces of middle size, which are listed, instead of the short ones among all.
+override MIDDLE: u32 = 0u;
 
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> offsets: array<u32>;
-@group(0) @binding(3) var<storage, read> grouped: array<f32>;
+@group(0) @binding(3) var<storage, read> grouped: array<vec4f>;
 @group(0) @binding(4) var<storage, read> radii: array<f32>;
-// Per cylinder its bottom triangles, then its top ones.
-@group(0) @binding(5) var<storage, read_write> statistics: array<TriangleStatistic>;
+// Per cylinder those of its bottom triangles, then those of its top ones.
+@group(0) @binding(5) var<storage, read_write> triangle_values: array<u32>;
+@group(0) @binding(6) var<storage, read_write> triangle_support: array<TriangleSupport>;
+@group(0) @binding(7) var<storage, read> listed_faces: array<u32>;
 
 const THREADS: u32 = 128u;
 
-// Per face of the workgroup: its corners, the r of a first and the others less that; its first point; and the
-// number of points of the faces before it.
-var<workgroup> corners: array<vec4f, 128>;
+// Per face of the workgroup: r of its corner a, its other corners and inverse squares, and the scale of its
+// cylinder; its first point; and the number of points of the faces before it.
+var<workgroup> shapes: array<array<vec4f, 3>, 128>;
 var<workgroup> begins: array<u32, 128>;
 var<workgroup> starts: array<u32, 129>;
 // Face after face.
@@ -147,48 +151,65 @@ struct Sums {
     high_size: vec2u,
 }
 
-fn add(sums: Sums, key: u32, bottom: Bounds, top: Bounds, rule: Cylinder) -> Sums {
+// The sums of an invocation: `size` has the numbers kept from bit 23 on, since no face has more than 256 keys and
+// their sizes' upper parts have 15 bits each.
+struct OwnSums {
+    below: vec2u,
+    low: vec2u,
+    high: vec2u,
+    low_size: vec2u,
+    size: vec2u,
+}
+
+const ONE_KEPT: u32 = 0x800000u;
+
+fn add(sums: OwnSums, key: u32, bottom: Bounds, top: Bounds, rule: Cylinder) -> OwnSums {
     let is_top = (key >> 31u) == 1u;
     let d = unpacked(key, rule.unit);
     let low = select(bottom.low, top.low, is_top);
     let high = select(bottom.high, top.high, is_top);
-    let below = key != EMPTY && d < low;
-    let kept = key != EMPTY && !(d < low) && d <= high;
+    let is_key = key != EMPTY;
+    let kept = is_key && d >= low && d <= high;
     let step = select(0, fixed(d, rule.scale), kept);
     let size = bitcast<u32>(abs(step));
     let mask = vec2u(0xffffffffu, select(0u, 0xffffffffu, is_top));
-    return Sums(
-        sums.kept + (mask & vec2u(select(0u, 1u, kept))),
-        sums.below + (mask & vec2u(select(0u, 1u, below))),
+    var below = sums.below;
+    if (parameters.statistic == STATISTIC_MEDIAN) {
+        below += mask & vec2u(select(0u, 1u, is_key && d < low));
+    }
+    return OwnSums(
+        below,
         sums.low + (mask & vec2u(bitcast<u32>(step) & 0xffffu)),
         sums.high + (mask & vec2u(bitcast<u32>(step >> 16u))),
         sums.low_size + (mask & vec2u(size & 0xffffu)),
-        sums.high_size + (mask & vec2u(size >> 16u)),
+        sums.size + (mask & vec2u((size >> 16u) + select(0u, ONE_KEPT, kept))),
     );
 }
 
 fn sums_of(k: Keys, bottom: Bounds, top: Bounds, rule: Cylinder, local: u32) -> Sums {
     let none = vec2u(0u);
-    var sums = Sums(none, none, none, none, none, none);
-    sums = add(sums, k.a.x, bottom, top, rule);
-    sums = add(sums, k.a.y, bottom, top, rule);
-    sums = add(sums, k.a.z, bottom, top, rule);
-    sums = add(sums, k.a.w, bottom, top, rule);
-    sums = add(sums, k.b.x, bottom, top, rule);
-    sums = add(sums, k.b.y, bottom, top, rule);
-    sums = add(sums, k.b.z, bottom, top, rule);
-    sums = add(sums, k.b.w, bottom, top, rule);
-    // No face has more than 256 keys: two counts fit one word.
-    let count = sum_of_face(vec4u(sums.kept | (sums.below << vec2u(16u)), sums.low), local);
-    let high = sum_of_face(vec4u(sums.high, sums.high_size), local);
-    let low_size = sum_of_face(vec4u(sums.low_size, none), local);
+    var own = OwnSums(none, none, none, none, none);
+    own = add(own, k.a.x, bottom, top, rule);
+    own = add(own, k.a.y, bottom, top, rule);
+    own = add(own, k.a.z, bottom, top, rule);
+    own = add(own, k.a.w, bottom, top, rule);
+    own = add(own, k.b.x, bottom, top, rule);
+    own = add(own, k.b.y, bottom, top, rule);
+    own = add(own, k.b.z, bottom, top, rule);
+    own = add(own, k.b.w, bottom, top, rule);
+    let sum = sum_of_face(vec4u(own.low, own.high), local);
+    let size = sum_of_face(vec4u(own.low_size, own.size), local);
+    var below = none;
+    if (parameters.statistic == STATISTIC_MEDIAN) {
+        below = sum_of_face(vec4u(own.below, none), local).xy;
+    }
     return Sums(
-        apart(count.xy & vec2u(0xffffu)),
-        apart(count.xy >> vec2u(16u)),
-        apart(count.zw),
-        apart(high.xy),
-        apart(low_size.xy),
-        apart(high.zw),
+        apart(size.zw / vec2u(ONE_KEPT)),
+        apart(below),
+        apart(sum.xy),
+        apart(sum.zw),
+        apart(size.xy),
+        apart(size.zw % vec2u(ONE_KEPT)),
     );
 }
 
@@ -212,37 +233,63 @@ fn bounds_of(half: u32, n: u32, quartiles: vec2f, all: Sums, unit: f32) -> Bound
     return box_plot(quartiles.x, quartiles.y);
 }
 
-fn statistic_of(half: u32, sums: Sums, median_key: u32, unit: f32) -> TriangleStatistic {
+fn write_triangle(triangle: u32, half: u32, sums: Sums, median_key: u32, unit: f32) {
     let kept = sums.kept[half];
     if (kept == 0u) {
-        return TriangleStatistic(0.0, 0u, 0.0);
+        triangle_values[triangle] = NO_VALUE;
+        triangle_support[triangle] = TriangleSupport(0u, 0.0);
+        return;
     }
     var value = mean_of(join(sums.low[half], sums.high[half]), unit, kept);
     if (parameters.statistic == STATISTIC_MEDIAN) {
         value = unpacked(median_key, unit);
     }
-    return TriangleStatistic(value, kept, mean_of(join(sums.low_size[half], sums.high_size[half]), unit, kept));
+    let residual = mean_of(join(sums.low_size[half], sums.high_size[half]), unit, kept);
+    triangle_values[triangle] = value_word(value);
+    triangle_support[triangle] = TriangleSupport(kept, residual);
 }
 
-// The block-th 128 / LANES faces of a cylinder.
+// A face of the workgroup's, among those of all cylinders; NONE where there are no more.
+fn face_at(block: u32, cylinder: u32, slot: u32) -> u32 {
+    let index = block * (THREADS / LANES) + slot;
+    if (MIDDLE == 1u) {
+        if (index < listed_faces[MIDDLE_COUNT]) {
+            return listed_faces[arrayLength(&listed_faces) - 1u - index];
+        }
+    } else if (index < parameters.faces) {
+        return cylinder * parameters.faces + index;
+    }
+    return NONE;
+}
+
+// The block-th 128 / LANES faces of a cylinder, or of the list.
 fn measure(block: u32, cylinder: u32, local: u32) {
     let faces_here = THREADS / LANES;
-    let first_face = block * faces_here;
-    let rule = cylinders[cylinder];
     var begin = 0u;
     var points = 0u;
-    if (local < faces_here && first_face + local < parameters.faces) {
-        let face = first_face + local;
-        begin = offsets[cylinder * parameters.faces + face];
-        points = offsets[cylinder * parameters.faces + face + 1u] - begin;
-        points = select(0u, points, points <= 8u * LANES);
-        let level = face / parameters.nodes;
-        let j = face - level * parameters.nodes;
-        let k = select(j + 1u, 0u, j + 1u == parameters.nodes);
-        let row = cylinder * parameters.node_count + level * parameters.nodes;
-        let above = row + parameters.nodes;
-        let a = radii[row + j];
-        corners[local] = vec4f(a, radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
+    if (local < faces_here) {
+        let face_of_all = face_at(block, cylinder, local);
+        if (face_of_all != NONE) {
+            begin = offsets[face_of_all];
+            points = offsets[face_of_all + 1u] - begin;
+            points = select(0u, points, points <= 8u * LANES);
+        }
+        if (points > 0u) {
+            let owner = face_of_all / parameters.faces;
+            let face = face_of_all - owner * parameters.faces;
+            let level = face / parameters.nodes;
+            let j = face - level * parameters.nodes;
+            let k = select(j + 1u, 0u, j + 1u == parameters.nodes);
+            let row = owner * parameters.node_count + level * parameters.nodes;
+            let above = row + parameters.nodes;
+            let a = radii[row + j];
+            let own = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
+            shapes[local] = array<vec4f, 3>(
+                vec4f(a, own.b, own.b_above, own.a_above),
+                vec4f(own.per_ab, own.per_aa, own.per_diagonal, own.per_bb),
+                vec4f(own.per_across, own.per_bottom, own.per_top, cylinders[owner].scale),
+            );
+        }
     }
     let before = sum_before(points, local);
     if (local < faces_here) {
@@ -277,12 +324,24 @@ fn measure(block: u32, cylinder: u32, local: u32) {
         }
         f += select(0u, 2u, starts[f + 2u] <= i);
         f += select(0u, 1u, starts[f + 1u] <= i);
-        let at = 3u * (begins[f] + i - starts[f]);
-        let corner = corners[f];
-        let p = vec3f(grouped[at] - corner.x, grouped[at + 1u], grouped[at + 2u]);
-        let face = Face(corner.y, corner.z, corner.w);
-        let nearer = distance_to_face(p, face, parameters.step_theta, parameters.step_z);
-        keys[i] = packed_key(nearer.distance, nearer.top, rule.scale);
+        let p = grouped[begins[f] + i - starts[f]];
+        let first = shapes[f][0];
+        let second = shapes[f][1];
+        let third = shapes[f][2];
+        let face = Face(
+            first.y,
+            first.z,
+            first.w,
+            second.x,
+            second.y,
+            second.z,
+            second.w,
+            third.x,
+            third.y,
+            third.z,
+        );
+        let nearer = distance_to_face(vec3f(p.x - first.x, p.yz), face);
+        keys[i] = packed_key(nearer.distance, nearer.top, third.w);
     }
     workgroupBarrier();
 
@@ -290,6 +349,9 @@ fn measure(block: u32, cylinder: u32, local: u32) {
     let lane = local % LANES;
     let start = starts[slot];
     let count = starts[slot + 1u] - start;
+    let face_of_all = face_at(block, cylinder, slot);
+    let owner = select(face_of_all / parameters.faces, 0u, face_of_all == NONE);
+    let rule = cylinders[owner];
     var k = Keys(
         vec4u(
             key_or_empty(start, count, lane),
@@ -339,14 +401,27 @@ fn measure(block: u32, cylinder: u32, local: u32) {
         );
     }
 
-    let face = first_face + slot;
-    if (lane == 0u && face < parameters.faces) {
-        let face_of_all = cylinder * parameters.faces + face;
+    if (lane == 0u && face_of_all != NONE) {
         if (offsets[face_of_all + 1u] - offsets[face_of_all] <= 8u * LANES) {
-            let to = 2u * cylinder * parameters.faces + face;
-            statistics[to] = statistic_of(0u, sums, medians.x, rule.unit);
-            statistics[to + parameters.faces] = statistic_of(1u, sums, medians.y, rule.unit);
+            // Twice the faces of the cylinders before, and the face within its own.
+            let to = face_of_all + owner * parameters.faces;
+            write_triangle(to, 0u, sums, medians.x, rule.unit);
+            write_triangle(to + parameters.faces, 1u, sums, medians.y, rule.unit);
         }
+    }
+}
+
+// What one workgroup does of the pass: blocks of faces, several of them only where they are listed.
+fn measure_blocks(first: u32, groups: u32, cylinder: u32, local: u32) {
+    if (MIDDLE == 0u) {
+        measure(first, cylinder, local);
+        return;
+    }
+    let faces_here = THREADS / LANES;
+    let blocks = (listed_faces[MIDDLE_COUNT] + faces_here - 1u) / faces_here;
+    for (var block = first; block < blocks; block += groups) {
+        measure(block, 0u, local);
+        workgroupBarrier();
     }
 }
 

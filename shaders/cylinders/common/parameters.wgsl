@@ -16,10 +16,11 @@ struct FitParameters {
     faces_per_mm: f32,
     // 1: every slot belongs to cylinder 0 and passed the gate.
     single: u32,
-    // Largest number of points of a short face.
+    // Largest number of points of a short face, and of one of middle size.
     max_short: u32,
+    max_middle: u32,
     pairs: u32,
-    // Places among the grouped points that are written at a time.
+    // Faces whose points are grouped at a time.
     window: u32,
 }
 
@@ -31,11 +32,27 @@ struct Cylinder {
     unit: f32,
 }
 
-struct TriangleStatistic {
-    value: f32,
+// The points that a triangle's value comes from: their number, and the mean of their |distances|, mm.
+struct TriangleSupport {
     kept: u32,
     residual: f32,
 }
+
+// A triangle's value as the passes exchange it: the complement of its bits, so that memory which was cleared
+// holds no values.
+const NO_VALUE: u32 = 0u;
+
+fn value_word(value: f32) -> u32 {
+    return ~bitcast<u32>(value);
+}
+
+// In front of the list of faces that are not short: the number of long ones, the number of those that were
+// measured to the end, and the number of faces of middle size. Long faces follow; the others are listed from the
+// end of the buffer backwards.
+const LONG_COUNT: u32 = 0u;
+const LONG_DONE: u32 = 1u;
+const MIDDLE_COUNT: u32 = 2u;
+const FIRST_LISTED: u32 = 3u;
 
 const NONE: u32 = 0xffffffffu;
 const OUTLIERS_IQR: u32 = 0u;

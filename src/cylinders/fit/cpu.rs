@@ -243,16 +243,17 @@ const BLOCK: usize = 256;
 /// the distances.
 struct Batch<T> {
     p: [[T; BLOCK]; 3],
-    /// r of b, b' and a' of each point's face, less r of a.
-    corner: [[T; BLOCK]; 3],
+    /// The [numbers](Face::numbers) of each point's face.
+    faces: [[T; BLOCK]; 10],
     distance: Vec<T>,
+    /// 1 where the top triangle is the nearer one, else 0.
     top: Vec<u8>,
 }
 
 impl<T: Scalar> Batch<T> {
     fn new() -> Self {
-        let zero = [[T::default(); BLOCK]; 3];
-        Self { p: zero, corner: zero, distance: Vec::new(), top: Vec::new() }
+        let zero = T::default();
+        Self { p: [[zero; BLOCK]; 3], faces: [[zero; BLOCK]; 10], distance: Vec::new(), top: Vec::new() }
     }
 
     /// The distances of all points of some faces.
@@ -265,45 +266,61 @@ impl<T: Scalar> Batch<T> {
         let mut face = faces.start;
         for (block, points) in chunk.groups.points[begin..end].chunks(BLOCK).enumerate() {
             let first = begin + block * BLOCK;
-            // A block takes whole faces or a part of one long face.
-            let mut filled = 0;
-            while filled < points.len() {
-                let until = (offsets[face + 1] as usize - first).min(points.len());
-                self.spread(chunk, face, &points[filled..until], filled);
-                filled = until;
-                face += usize::from(first + filled == offsets[face + 1] as usize);
-            }
             let here = first - begin..first - begin + points.len();
             let (distances, tops) = (&mut self.distance[here.clone()], &mut self.top[here]);
-            measure_block(&self.p, &self.corner, grid, distances, tops);
-        }
-    }
-
-    /// Writes points of one face and its corners, from place `first` on.
-    #[inline(always)]
-    fn spread(&mut self, chunk: &Chunk<T>, face: usize, points: &[[T; 3]], first: usize) {
-        let Chunk { tube, radii, .. } = chunk;
-        let (row, j) = (face - face % tube.nodes, face % tube.nodes);
-        let (below, above) = (&radii[row..row + tube.nodes], &radii[row + tube.nodes..row + 2 * tube.nodes]);
-        let k = tube.next(j);
-        let a = below[j];
-        let corners = [below[k] - a, above[k] - a, above[j] - a];
-        for (i, point) in points.iter().enumerate() {
-            self.p[0][first + i] = point[0] - a;
-            self.p[1][first + i] = point[1];
-            self.p[2][first + i] = point[2];
-            for (corner, value) in self.corner.iter_mut().zip(corners) {
-                corner[first + i] = value;
+            let end_of = |face: usize| offsets[face + 1] as usize - first;
+            // A block takes whole faces or a part of one long face, whose numbers stay in registers.
+            if end_of(face) >= points.len() {
+                let shape = spread(&mut self.p, chunk, grid, face, points, 0);
+                measure_block(&self.p, |_| shape, grid, distances, tops);
+                face += usize::from(end_of(face) == points.len());
+                continue;
             }
+            let mut filled = 0;
+            while filled < points.len() {
+                let until = end_of(face).min(points.len());
+                let shape = spread(&mut self.p, chunk, grid, face, &points[filled..until], filled);
+                for (column, number) in self.faces.iter_mut().zip(shape.numbers()) {
+                    column[filled..until].fill(number);
+                }
+                filled = until;
+                face += usize::from(filled == end_of(face));
+            }
+            let shapes = &self.faces;
+            let shape = |i: usize| Face::of_numbers(std::array::from_fn(|number| shapes[number][i]));
+            measure_block(&self.p, shape, grid, distances, tops);
         }
     }
 }
 
-/// The distances of a block of points.
+/// Writes points of one face from place `to` on, less its corner a, and returns the face.
+#[inline(always)]
+fn spread<T: Scalar>(
+    p: &mut [[T; BLOCK]; 3],
+    chunk: &Chunk<T>,
+    grid: &TubeGrid<T>,
+    face: usize,
+    points: &[[T; 3]],
+    to: usize,
+) -> Face<T> {
+    let Chunk { tube, radii, .. } = chunk;
+    let (row, j) = (face - face % tube.nodes, face % tube.nodes);
+    let (below, above) = (&radii[row..row + tube.nodes], &radii[row + tube.nodes..row + 2 * tube.nodes]);
+    let k = tube.next(j);
+    let a = below[j];
+    for (i, point) in points.iter().enumerate() {
+        p[0][to + i] = point[0] - a;
+        p[1][to + i] = point[1];
+        p[2][to + i] = point[2];
+    }
+    Face::new([below[k] - a, above[k] - a, above[j] - a], grid)
+}
+
+/// The distances of a block of points, `face` being that of a point by its place.
 #[inline(always)]
 fn measure_block<T: Scalar>(
     p: &[[T; BLOCK]; 3],
-    corner: &[[T; BLOCK]; 3],
+    face: impl Fn(usize) -> Face<T>,
     grid: &TubeGrid<T>,
     distances: &mut [T],
     tops: &mut [u8],
@@ -311,14 +328,7 @@ fn measure_block<T: Scalar>(
     let count = distances.len().min(tops.len()).min(BLOCK);
     let (distances, tops) = (&mut distances[..count], &mut tops[..count]);
     for i in 0..count {
-        let face = Face {
-            b: corner[0][i],
-            b_above: corner[1][i],
-            a_above: corner[2][i],
-            step_theta: grid.step_theta,
-            step_z: grid.step_z,
-        };
-        let (signed, top) = distance([p[0][i], p[1][i], p[2][i]], &face);
+        let (signed, top) = distance([p[0][i], p[1][i], p[2][i]], &face(i), grid);
         distances[i] = signed;
         tops[i] = u8::from(top);
     }
@@ -345,15 +355,20 @@ impl<T: Scalar> pulp::NullaryFnOnce for Chunk<'_, T> {
             let mut taken = 0;
             for f in face..last {
                 let count = (offsets[f + 1] - offsets[f]) as usize;
-                to_bottom.clear();
-                to_top.clear();
-                for i in taken..taken + count {
-                    let to = if batch.top[i] != 0 { &mut to_top } else { &mut to_bottom };
-                    to.push(batch.distance[i]);
+                to_bottom.resize(count, T::default());
+                to_top.resize(count, T::default());
+                // Written to both, since no processor foresees which one takes it.
+                let (mut bottoms, mut tops) = (0, 0);
+                for (&distance, &top) in batch.distance[taken..][..count].iter().zip(&batch.top[taken..]) {
+                    to_bottom[bottoms] = distance;
+                    to_top[tops] = distance;
+                    bottoms += usize::from(1 - top);
+                    tops += usize::from(top);
                 }
                 taken += count;
-                self.bottom[f - self.faces.start] = statistic(&to_bottom, self.filter, &mut keys);
-                self.top[f - self.faces.start] = statistic(&to_top, self.filter, &mut keys);
+                let of_face = f - self.faces.start;
+                self.bottom[of_face] = statistic(&to_bottom[..bottoms], self.filter, &mut keys);
+                self.top[of_face] = statistic(&to_top[..tops], self.filter, &mut keys);
             }
             face = last;
         }

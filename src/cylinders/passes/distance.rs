@@ -1,158 +1,151 @@
 //! Signed distance of a point to the nearer triangle of its face (docs/method.md, "Local cylinder fit").
 
+use super::TubeGrid;
 use crate::numerics::Scalar;
 
-/// A face as seen from its corner a: the other corners' radii less a's, and the steps of the grid. In these
-/// coordinates a = 0, b = (b, Δ, 0), b' = (b_above, Δ, D), a' = (a_above, 0, D).
+/// A face as seen from its corner a, and what the distances of all its points have in common.
+///
+/// In these coordinates a = 0, b = (b, Δ, 0), b' = (b', Δ, D) and a' = (a', 0, D). The bottom triangle is
+/// (a, b, b'), the top one (a, b', a').
 #[derive(Debug, Clone, Copy)]
 pub struct Face<T> {
     /// r of b.
-    pub b: T,
+    b: T,
     /// r of b'.
-    pub b_above: T,
+    b_above: T,
     /// r of a'.
-    pub a_above: T,
-    /// Δ = 2π/N.
-    pub step_theta: T,
-    /// D = H/L.
-    pub step_z: T,
+    a_above: T,
+    /// The inverse squares of the lengths of the edges: from a to b, to a' and to b', and from b' to b and to a'.
+    per_edge: [T; 5],
+    /// The inverse squares of the bottom and the top triangle's normals.
+    per_normal: [T; 2],
+}
+
+impl<T: Scalar> Face<T> {
+    /// The face whose corners b, b' and a' have these radii, less that of a.
+    #[inline(always)]
+    pub fn new([b, b_above, a_above]: [T; 3], grid: &TubeGrid<T>) -> Self {
+        let TubeGrid { step_theta: theta, step_z: z, .. } = *grid;
+        let [n1, n2] = normals([b, b_above, a_above], grid);
+        let (to_b, to_a) = (b - b_above, a_above - b_above);
+        let squares = [
+            b * b + theta * theta,
+            a_above * a_above + z * z,
+            b_above * b_above + theta * theta + z * z,
+            to_b * to_b + z * z,
+            to_a * to_a + theta * theta,
+            n1[0] * n1[0] + n1[1] * n1[1] + n1[2] * n1[2],
+            n2[0] * n2[0] + n2[1] * n2[1] + n2[2] * n2[2],
+            T::from_count(1),
+        ];
+        // Eight at once, which is one division of vectors.
+        let [ab, aa, diagonal, bb, across, bottom, top, _] = squares.map(|square| T::from_count(1) / square);
+        Self { b, b_above, a_above, per_edge: [ab, aa, diagonal, bb, across], per_normal: [bottom, top] }
+    }
+
+    /// Its numbers, for [`Face::of_numbers`].
+    #[inline(always)]
+    pub(in crate::cylinders) fn numbers(&self) -> [T; 10] {
+        let [ab, aa, diagonal, bb, across] = self.per_edge;
+        let [bottom, top] = self.per_normal;
+        [self.b, self.b_above, self.a_above, ab, aa, diagonal, bb, across, bottom, top]
+    }
+
+    /// The face of [`Face::numbers`].
+    #[inline(always)]
+    pub(in crate::cylinders) fn of_numbers(numbers: [T; 10]) -> Self {
+        let [b, b_above, a_above, ab, aa, diagonal, bb, across, bottom, top] = numbers;
+        Self { b, b_above, a_above, per_edge: [ab, aa, diagonal, bb, across], per_normal: [bottom, top] }
+    }
 }
 
 type Vector<T> = [T; 3];
 
+/// The normals of the bottom triangle, b × b', and of the top one, b' × a'. They point outwards.
 #[inline(always)]
-fn dot<T: Scalar>(p: Vector<T>, q: Vector<T>) -> T {
-    p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+fn normals<T: Scalar>([b, b_above, a_above]: [T; 3], grid: &TubeGrid<T>) -> [Vector<T>; 2] {
+    let TubeGrid { step_theta: theta, step_z: z, .. } = *grid;
+    let along_r = theta * z;
+    [
+        [along_r, -(b * z), theta * (b - b_above)],
+        [along_r, z * (a_above - b_above), -(theta * a_above)],
+    ]
+}
+
+/// The square of a vector's length.
+#[inline(always)]
+fn square<T: Scalar>(e: Vector<T>) -> T {
+    e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
 }
 
 #[inline(always)]
-fn minus<T: Scalar>(p: Vector<T>, q: Vector<T>) -> Vector<T> {
-    [p[0] - q[0], p[1] - q[1], p[2] - q[2]]
+fn lesser<T: Scalar>(a: T, b: T) -> T {
+    if a < b { a } else { b }
 }
 
-/// The quantities that decide in which Voronoi region of the triangle (0, b, c) a point p lies: products with b and
-/// c, and the areas opposite the corners, `n·((c-b)×(p-b))`, `n·(p×c)` and `n·(b×p)`, all times 2|n|.
-struct Products<T> {
-    /// b·p, c·p.
-    from_a: [T; 2],
-    /// b·(p-b), c·(p-b).
-    from_b: [T; 2],
-    /// b·(p-c), c·(p-c).
-    from_c: [T; 2],
-    /// Opposite a, b and c.
-    areas: [T; 3],
-}
-
-/// Weights of b and c in the closest point of the triangle (0, b, c).
-///
-/// Voronoi regions as in C. Ericson, *Real-Time Collision Detection*, 5.1.5, without branches: each region
-/// sets the weights as two numerators over one denominator. The areas are triple products, where the book has
-/// differences of products of dot products: equal by Lagrange's identity, but they preserve f32 precision on the
-/// slivers of fine grids.
+/// The number, within [0, 1].
 #[inline(always)]
-fn closest<T: Scalar>(products: &Products<T>) -> (T, T) {
-    let Products { from_a: [d1, d2], from_b: [d3, d4], from_c: [d5, d6], areas: [area_a, area_b, area_c] } =
-        *products;
-    let zero = T::default();
-
-    // The interior, then the edges and corners in the reverse of the book's order: the last test that holds wins.
-    let (mut over_b, mut over_c, mut under) = (area_b, area_c, area_a + area_b + area_c);
-    let (e, f) = (d4 - d3, d5 - d6);
-    let on_bc = (area_a <= zero) & (e >= zero) & (f >= zero);
-    over_b = if on_bc { f } else { over_b };
-    over_c = if on_bc { e } else { over_c };
-    under = if on_bc { e + f } else { under };
-    let on_ac = (area_b <= zero) & (d2 >= zero) & (d6 <= zero);
-    over_b = if on_ac { zero } else { over_b };
-    over_c = if on_ac { d2 } else { over_c };
-    under = if on_ac { d2 - d6 } else { under };
-    let at_c = (d6 >= zero) & (d5 <= d6);
-    over_b = if at_c { zero } else { over_b };
-    over_c = if at_c { d2 } else { over_c };
-    under = if at_c { d2 } else { under };
-    let on_ab = (area_c <= zero) & (d1 >= zero) & (d3 <= zero);
-    over_b = if on_ab { d1 } else { over_b };
-    over_c = if on_ab { zero } else { over_c };
-    under = if on_ab { d1 - d3 } else { under };
-    let at_b = (d3 >= zero) & (d4 <= d3);
-    over_b = if at_b { d1 } else { over_b };
-    over_c = if at_b { zero } else { over_c };
-    under = if at_b { d1 } else { under };
-    let at_a = (d1 <= zero) & (d2 <= zero);
-    over_b = if at_a { zero } else { over_b };
-    over_c = if at_a { zero } else { over_c };
-    under = if at_a { T::from_count(1) } else { under };
-    (over_b / under, over_c / under)
+fn within_one<T: Scalar>(t: T) -> T {
+    let (zero, one) = (T::default(), T::from_count(1));
+    let t = if t > zero { t } else { zero };
+    if t < one { t } else { one }
 }
 
 /// Signed distance of a point to the nearer triangle of its face, and whether that is the top one; a tie goes
 /// to bottom. The point is given as (r, θ, z) less the face's corner a.
 ///
-/// Both triangles compute the closest point on their shared edge (a, b') by the same expression
-/// `t = (b'-a)·(p-a) / ((b'-a)·(p-a) - (b'-a)·(p-b'))`, so a point nearest to that edge is a tie to the bit.
-/// The sign of `|p-q₁|² - |p-q₂|² = (q₂-q₁)·(2p-q₁-q₂)` decides which is nearer; the product does not cancel.
+/// The closest point of a triangle is the foot of the perpendicular on its plane where that lies inside, and
+/// otherwise the closest point of its edges. It is negative where the point lies behind the plane of the nearer
+/// triangle, since p - q and p - a have the same product with the normal for each q in that plane.
 ///
-/// The cross products are written out for these two triangles with common factors extracted, so that a compiler
-/// that may turn `ab + ac` into `a(b + c)` changes nothing, and the device agrees to the bit.
+/// Where the triangles' closest point is one and the same (on the diagonal, at a or at b') both distances are
+/// equal to the bit, on any device: edges are followed from a or from b', whichever both triangles share. In a
+/// flat face r of each foot is exactly 0, so that the foot that lies inside is the nearer one. A compiler that
+/// turns `ab + ac` into `a(b + c)` finds no such sum.
 #[inline(always)]
-pub fn distance<T: Scalar>(p: [T; 3], face: &Face<T>) -> (T, bool) {
+pub fn distance<T: Scalar>(p: [T; 3], face: &Face<T>, grid: &TubeGrid<T>) -> (T, bool) {
     let zero = T::default();
     let [x, y, z] = p;
-    let Face { b: u, b_above: v, a_above: w, step_theta: dt, step_z: dz } = *face;
-    let corner_b = [u, dt, zero];
-    let corner_b_above = [v, dt, dz];
-    let corner_a_above = [w, zero, dz];
-    let from_b = [x - u, y - dt, z];
-    let from_b_above = [x - v, y - dt, z - dz];
-    let from_a_above = [x - w, y, z - dz];
-    let diagonal = dot(corner_b_above, p);
-    let beyond_diagonal = dot(corner_b_above, from_b_above);
-    let n_r = dt * dz;
+    let Face { b, b_above, a_above, per_edge, per_normal } = *face;
+    let TubeGrid { step_theta: theta, step_z: height, faces_per_rad, faces_per_mm, .. } = *grid;
+    let [n1, n2] = normals([b, b_above, a_above], grid);
 
-    // Bottom: (a, b, b').
-    let n1 = [n_r, -(u * dz), dt * (u - v)];
-    let bb_r = v - u;
-    let bottom = Products {
-        from_a: [dot(corner_b, p), diagonal],
-        from_b: [dot(corner_b, from_b), dot(corner_b_above, from_b)],
-        from_c: [dot(corner_b, from_b_above), beyond_diagonal],
-        areas: [
-            dot(n1, [-(dz * from_b[1]), dz * from_b[0] - bb_r * z, bb_r * from_b[1]]),
-            dot(n1, [y * dz - z * dt, z * v - x * dz, x * dt - y * v]),
-            dot(n1, [dt * z, -(u * z), u * y - dt * x]),
-        ],
-    };
-    let (s1, t1) = closest(&bottom);
-    let q1 = [u * s1 + v * t1, dt * (s1 + t1), dz * t1];
+    // Feet on the planes. Their r follows from θ and z, which are small.
+    let side1 = n1[0] * x + n1[1] * y + n1[2] * z;
+    let side2 = n2[0] * x + n2[1] * y + n2[2] * z;
+    let (k1, k2) = (side1 * per_normal[0], side2 * per_normal[1]);
+    let (theta1, z1) = (y - n1[1] * k1, z - n1[2] * k1);
+    let (theta2, z2) = (y - n2[1] * k2, z - n2[2] * k2);
+    let inside1 = (z1 >= zero) & (theta1 <= theta) & (theta1 * height >= z1 * theta);
+    let inside2 = (theta2 >= zero) & (z2 <= height) & (z2 * theta >= theta2 * height);
+    let (to_b, to_a) = (b - b_above, a_above - b_above);
+    let r1 = theta1 * (b * faces_per_rad) - z1 * (to_b * faces_per_mm);
+    let r2 = z2 * (a_above * faces_per_mm) - theta2 * (to_a * faces_per_rad);
+    let foot1 = square([x - r1, y - theta1, z - z1]);
+    let foot2 = square([x - r2, y - theta2, z - z2]);
 
-    // Top: (a, b', a').
-    let aa_r = w - v;
-    let n2 = [n_r, dz * aa_r, -(dt * w)];
-    let top = Products {
-        from_a: [diagonal, dot(corner_a_above, p)],
-        from_b: [beyond_diagonal, dot(corner_a_above, from_b_above)],
-        from_c: [dot(corner_b_above, from_a_above), dot(corner_a_above, from_a_above)],
-        areas: [
-            dot(
-                n2,
-                [
-                    -(dt * from_b_above[2]),
-                    -(aa_r * from_b_above[2]),
-                    aa_r * from_b_above[1] + dt * from_b_above[0],
-                ],
-            ),
-            dot(n2, [y * dz, z * w - x * dz, -(y * w)]),
-            dot(n2, [dt * z - dz * y, dz * x - v * z, v * y - dt * x]),
-        ],
-    };
-    let (s2, t2) = closest(&top);
-    let q2 = [v * s2 + w * t2, dt * s2, dz * (s2 + t2)];
+    // Edges from a, at the part t of their length.
+    let t = within_one((b * x + theta * y) * per_edge[0]);
+    let on_ab = square([x - t * b, y - t * theta, z]);
+    let t = within_one((a_above * x + height * z) * per_edge[1]);
+    let on_aa = square([x - t * a_above, y, z - t * height]);
+    let t = within_one((b_above * x + theta * y + height * z) * per_edge[2]);
+    let on_diagonal = square([x - t * b_above, y - t * theta, z - t * height]);
+    // Edges from b'.
+    let from = [x - b_above, y - theta, z - height];
+    let t = within_one((to_b * from[0] - height * from[2]) * per_edge[3]);
+    let on_bb = square([from[0] - t * to_b, from[1], from[2] + t * height]);
+    let t = within_one((to_a * from[0] - theta * from[1]) * per_edge[4]);
+    let across = square([from[0] - t * to_a, from[1] + t * theta, from[2]]);
 
-    let (e1, e2) = (minus(p, q1), minus(p, q2));
-    let sum = [e1[0] + e2[0], e1[1] + e2[1], e1[2] + e2[2]];
-    let is_top = dot(minus(q2, q1), sum) > zero;
-    let squared = if is_top { dot(e2, e2) } else { dot(e1, e1) };
-    let side = if is_top { dot(e2, n2) } else { dot(e1, n1) };
+    let bottom = if inside1 { foot1 } else { lesser(on_ab, on_bb) };
+    let top = if inside2 { foot2 } else { lesser(on_aa, across) };
+    // The diagonal is bottom's too, and no nearer than a foot inside.
+    let beats_diagonal = inside2 | (top < on_diagonal);
+    let beats_bottom = (top < bottom) | ((top <= bottom) & inside2 & !inside1);
+    let is_top = beats_diagonal & beats_bottom;
+    let squared = if is_top { top } else { lesser(bottom, on_diagonal) };
+    let side = if is_top { side2 } else { side1 };
     let distance = squared.sqrt();
     (if side < zero { -distance } else { distance }, is_top)
 }

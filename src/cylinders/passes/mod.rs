@@ -25,7 +25,7 @@ pub use measure_long::measure_long;
 pub use measure_short::measure_short;
 pub use parameters::{DeviceCylinder, Filter, FitParameters, Gate, NONE, TriangleStatistic, TubeGrid};
 pub use project::{DevicePair, Section, TubeTransform, project};
-pub use scan_downsweep::{long_faces, scan_downsweep};
+pub use scan_downsweep::{LIST_HEAD, listed_faces, scan_downsweep};
 pub use scan_reduce::scan_reduce;
 pub use scan_spine::scan_spine;
 pub use scatter::scatter;

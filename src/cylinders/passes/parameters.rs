@@ -118,9 +118,8 @@ impl<T: Scalar> Filter<T> {
     }
 }
 
-/// The statistic of a triangle's distances. In f32 it has the layout of the shaders' structure of that name.
+/// The statistic of a triangle's distances.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-#[repr(C)]
 pub struct TriangleStatistic<T> {
     /// Mean or median of the kept signed distances, mm; 0 where there are none.
     pub value: T,
@@ -128,6 +127,18 @@ pub struct TriangleStatistic<T> {
     pub kept: u32,
     /// Mean of the kept |distances|, mm; 0 where there are none.
     pub residual: T,
+}
+
+impl TriangleStatistic<f32> {
+    /// Its value as the device's passes exchange it: the complement of its bits, 0 without points.
+    pub fn value_word(&self) -> u32 {
+        if self.kept == 0 { 0 } else { !self.value.to_bits() }
+    }
+
+    /// `TriangleSupport` of the shaders: the number of points, and the bits of their mean |distance|, mm.
+    pub fn support_words(&self) -> [u32; 2] {
+        [self.kept, self.residual.to_bits()]
+    }
 }
 
 /// `FitParameters` of the shaders: the settings and sizes of a batch of cylinders.
@@ -162,20 +173,27 @@ pub struct FitParameters {
     pub faces_per_mm: f32,
     /// 1 where every slot belongs to cylinder 0 and passed the gate.
     pub single: u32,
-    /// Largest number of points of a short face; a whole workgroup measures a face with more. 0: every face
-    /// with points is a long one.
+    /// Largest number of points of a short face. 0: every face with points is a long one.
     pub max_short: u32,
+    /// Largest number of points of a face of middle size; a whole workgroup measures a face with more.
+    pub max_middle: u32,
     /// Pairs of cylinder and frame.
     pub pairs: u32,
-    /// Places among the grouped points that `scatter` writes at a time.
+    /// Faces of the batch whose points `scatter` writes at a time.
     pub window: u32,
 }
 
 impl FitParameters {
-    /// The parameters of a batch; `lanes` invocations measure a short face, 0 where there are none. Without
-    /// `pairs` the batch is one tube, and its points already are in tube coordinates. `scatter` writes to all
-    /// places at a time.
-    pub fn new(settings: &Settings, cylinders: u32, slots: u32, pairs: Option<u32>, lanes: u32) -> Self {
+    /// The parameters of a batch; `lanes` invocations measure a short face and one of middle size, 0 where there
+    /// are none. Without `pairs` the batch is one tube, and its points already are in tube coordinates. `scatter`
+    /// writes the points of all faces at a time.
+    pub fn new(
+        settings: &Settings,
+        cylinders: u32,
+        slots: u32,
+        pairs: Option<u32>,
+        [short_lanes, middle_lanes]: [u32; 2],
+    ) -> Self {
         let tube = Tube::new(settings);
         let grid = TubeGrid::<f32>::new(&tube);
         Self {
@@ -200,9 +218,10 @@ impl FitParameters {
             faces_per_rad: grid.faces_per_rad,
             faces_per_mm: grid.faces_per_mm,
             single: u32::from(pairs.is_none()),
-            max_short: 8 * lanes,
+            max_short: 8 * short_lanes,
+            max_middle: 8 * short_lanes.max(middle_lanes),
             pairs: pairs.unwrap_or(0),
-            window: slots.max(1),
+            window: cylinders.saturating_mul(tube.face_count() as u32).max(1),
         }
     }
 }

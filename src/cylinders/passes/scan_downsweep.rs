@@ -16,9 +16,26 @@ pub fn scan_downsweep(counts: &[u32], block_sums: &[u32]) -> Vec<u32> {
     offsets
 }
 
-/// The faces with more than `max_short` points, in ascending order; the device lists them in any order.
-pub fn long_faces(counts: &[u32], max_short: u32) -> Vec<u32> {
-    (0..).zip(counts).filter(|&(_, &count)| count > max_short).map(|(face, _)| face).collect()
+/// Words in front of a [list of faces](listed_faces).
+pub const LIST_HEAD: usize = 3;
+
+/// The list, that many words long, of the faces with more than `max_short` points: the number of long faces, which
+/// have more than `max_middle`; a word in which `measure_long` counts; and the number of the others. Then come the
+/// long faces in ascending order, and from the end backwards the others; the device lists each in any order.
+pub fn listed_faces(counts: &[u32], max_short: u32, max_middle: u32, words: usize) -> Vec<u32> {
+    let (mut list, mut long, mut others) = (vec![0; words], 0, 0);
+    for (face, &count) in (0..).zip(counts) {
+        if count > max_middle {
+            list[LIST_HEAD + long] = face;
+            long += 1;
+        } else if count > max_short {
+            others += 1;
+            list[words - others] = face;
+        }
+    }
+    list[0] = long as u32;
+    list[2] = others as u32;
+    list
 }
 
 #[cfg(test)]
@@ -27,9 +44,10 @@ mod tests {
     use crate::cylinders::passes::{scan_reduce, scan_spine};
 
     #[test]
-    fn a_face_is_long_only_above_the_bound() {
-        assert_eq!(long_faces(&[4, 5, 0, 4, 7], 4), [1, 4]);
-        assert!(long_faces(&[], 4).is_empty());
+    fn a_face_is_listed_only_above_a_bound() {
+        assert_eq!(listed_faces(&[4, 5, 0, 4, 7, 8], 4, 7, 7), [1, 0, 2, 5, 0, 4, 1]);
+        assert_eq!(listed_faces(&[5, 4], 4, 4, 4), [1, 0, 0, 0]);
+        assert_eq!(listed_faces(&[], 4, 7, 3), [0; 3]);
     }
 
     #[test]

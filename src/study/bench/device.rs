@@ -168,11 +168,15 @@ impl Device {
     }
 }
 
+/// Additions and multiplications of a distance to both triangles of a face.
+const FLOPS_PER_DISTANCE: u64 = 140;
+
 /// The amount of work of the passes of a fit.
 struct Work {
     points: u64,
-    /// Those in short faces, which several invocations share, and those in long faces, each of one workgroup.
+    /// Those in short faces, in faces of middle size, and in long ones.
     short: u64,
+    middle: u64,
     long: u64,
     faces: u64,
     nodes: u64,
@@ -184,11 +188,13 @@ impl Work {
         let job = workspace.parameters();
         let groups = group(section, &Tube::new(settings));
         let counts = groups.offsets.windows(2).map(|w| w[1] - w[0]);
-        let long: u64 = counts.filter(|&n| n > job.max_short).map(u64::from).sum();
-        let points = section.len() as u64;
+        let above = |most: u32| -> u64 { counts.clone().filter(|&n| n > most).map(u64::from).sum() };
+        let (points, long) = (section.len() as u64, above(job.max_middle));
+        let short = points - above(job.max_short);
         Self {
             points,
-            short: points - long,
+            short,
+            middle: points - short - long,
             long,
             faces: u64::from(job.faces),
             nodes: u64::from(job.node_count),
@@ -198,21 +204,23 @@ impl Work {
 
     /// Bytes and floating-point operations of a pass over a fit.
     fn of_pass(&self, pass: &str) -> (u64, u64) {
-        let Self { points, short, long, faces, nodes, iterations } = *self;
+        let Self { points, short, middle, long, faces, nodes, iterations } = *self;
+        let flops = |points: u64| iterations * FLOPS_PER_DISTANCE * points;
         match pass {
             "bin" | "bin_few" => ((8 + 8) * points + 4 * faces, 0),
             "scan_reduce" => (4 * faces, 0),
             "scan_downsweep" => (8 * faces, 0),
-            "scatter" => ((12 + 8 + 12) * points + 4 * faces, 0),
+            "scatter" => ((12 + 8 + 16) * points + 4 * faces, 0),
             "measure_short" | "measure_short_shared" if short > 0 => {
-                (iterations * (12 * short + (4 + 24) * faces + 4 * nodes), iterations * 250 * short)
+                (iterations * (16 * short + (4 + 24) * faces + 4 * nodes), flops(short))
             }
+            "measure_middle" | "measure_middle_shared" => (iterations * 16 * middle, flops(middle)),
             // Keys are written once, and read in each of four rounds and for the sums.
-            "measure_long" => (iterations * (12 + 4 + 6 * 4) * long, iterations * 250 * long),
-            "distance" => (iterations * (12 + 4) * points, iterations * 250 * points),
+            "measure_long" => (iterations * (16 + 4 + 6 * 4) * long, flops(long)),
+            "distance" => (iterations * (16 + 4) * points, flops(points)),
             "measure_long_keyed" => (iterations * 6 * 4 * long, 0),
-            "update" => (iterations * (24 * faces + 8 * nodes), 0),
-            "support" => (24 * faces + 8 * nodes, 0),
+            "update" => (iterations * (8 * faces + 8 * nodes), 0),
+            "support" => (16 * faces + 8 * nodes, 0),
             _ => (0, 0),
         }
     }

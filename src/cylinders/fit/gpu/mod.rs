@@ -120,7 +120,7 @@ impl GpuEngine {
     /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses one.
     pub fn warm_up(&self) -> Result<()> {
         let width = self.subgroup_width();
-        let enough = |lanes| width.is_some_and(|width| lanes <= width);
+        let enough = |lanes: u32| width.is_some_and(|width| lanes <= width);
         Ok(self.runner.warm_up(|shader, lanes| shader.subgroups == enough(lanes))?)
     }
 
@@ -289,7 +289,7 @@ impl GpuEngine {
             ("travels", workspace.travel_stride() * iterations),
             ("tallies", 8 * cylinders),
             ("gated", 4 * cylinders),
-            ("long_faces", 8),
+            ("listed_faces", 8),
             ("history", if history { 4 * nodes * (iterations + 1) } else { 0 }),
         ];
         let parts = parts.map(|(name, bytes)| (workspace.buffer(name), bytes));
@@ -442,11 +442,11 @@ impl GpuEngine {
         let limits = self.runner.context.device.limits();
         let max_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         let tube = Tube::new(request.settings);
-        // The largest buffer of each kind: 12 bytes per slot, 24 per face, 4 per node and iteration of the
+        // The largest buffer of each kind: 16 bytes per slot and per face, 4 per node and iteration of the
         // history, and those of the pairs and their frames' points.
         let history = if request.history { 4 * (u64::from(request.settings.iterations) + 1) } else { 4 };
         let fits = |slots: u64, cylinders: u64, pairs: usize, points: &Range<usize>| {
-            12 * slots <= max_bytes
+            16 * slots <= max_bytes
                 && 24 * cylinders * tube.face_count() as u64 <= max_bytes
                 && history * cylinders * tube.node_count() as u64 <= limits.max_buffer_size
                 && (size_of::<DevicePair>() * pairs) as u64 <= max_bytes

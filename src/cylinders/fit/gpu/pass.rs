@@ -38,6 +38,10 @@ pub enum Items {
     ShortFaces,
     /// The same without subgroups.
     ShortFacesShared,
+    /// Workgroups that take the faces of middle size in turn, [`LANES`] invocations per face, with subgroups.
+    MiddleFaces,
+    /// The same without subgroups.
+    MiddleFacesShared,
     /// Workgroups that take the long faces in turn, where they have not so many points that `distance` comes
     /// first.
     LongFaces,
@@ -84,7 +88,7 @@ macro_rules! pass {
 }
 
 /// Every pass, in the order in which they run.
-pub static PASSES: [Pass; 14] = [
+pub static PASSES: [Pass; 16] = [
     pass!("project", Project, Pairs, 64, [DISPATCH, ANGLE], [
         "cylinders": Read, "points": Read, "pairs": Read, "section": Write, "owners": Write, "gated": Write,
     ], { preamble: angle_constants }),
@@ -97,22 +101,36 @@ pub static PASSES: [Pass; 14] = [
     pass!("scan_reduce", Group, SeveralBlocks, 256, [DISPATCH], ["counts": Read, "block_sums": Write]),
     pass!("scan_spine", Group, Spine, 256, [SCAN], ["block_sums": Write]),
     pass!("scan_downsweep", Group, Blocks, 256, [DISPATCH, SCAN], [
-        "counts": Read, "block_sums": Read, "offsets": Write, "long_faces": Write,
+        "counts": Read, "block_sums": Read, "offsets": Write, "listed_faces": Write,
     ]),
     pass!("scatter", Group, Slots, 256, [DISPATCH], [
         "section": Read, "places": Read, "offsets": Read, "grouped": Write,
     ]),
     pass!("measure_short", Iterate, ShortFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT], [
-        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
-    ], { variants: Some(("LANES", &LANES)), subgroups: true }),
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
+        "triangle_support": Write, "listed_faces": Read,
+    ], { constants: &[("MIDDLE", 0.0)], variants: Some(("LANES", &LANES)), subgroups: true }),
     pass!("measure_short_shared", Iterate, ShortFacesShared, 128, [
         DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
     ], [
-        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
-    ], { variants: Some(("LANES", &LANES)) }),
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
+        "triangle_support": Write, "listed_faces": Read,
+    ], { constants: &[("MIDDLE", 0.0)], variants: Some(("LANES", &LANES)) }),
+    pass!("measure_middle" in "measure_short", Iterate, MiddleFaces, 128, [
+        DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
+    ], [
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
+        "triangle_support": Write, "listed_faces": Read,
+    ], { constants: &[("MIDDLE", 1.0)], variants: Some(("LANES", &MIDDLE_LANES)), subgroups: true }),
+    pass!("measure_middle_shared" in "measure_short_shared", Iterate, MiddleFacesShared, 128, [
+        DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
+    ], [
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
+        "triangle_support": Write, "listed_faces": Read,
+    ], { constants: &[("MIDDLE", 1.0)], variants: Some(("LANES", &MIDDLE_LANES)) }),
     pass!("measure_long", Iterate, LongFaces, 256, [DISPATCH, DISTANCE, SCALAR, SCAN, FILTER], [
-        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
-        "long_faces": Write, "keys": Write,
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
+        "triangle_support": Write, "listed_faces": Write, "keys": Write,
     ], { constants: &[("KEYED", 0.0)] }),
     pass!("distance", Iterate, Points, 256, [DISPATCH, DISTANCE, FILTER], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "keys": Write,
@@ -120,20 +138,23 @@ pub static PASSES: [Pass; 14] = [
     pass!("measure_long_keyed" in "measure_long", Iterate, KeyedFaces, 256, [
         DISPATCH, DISTANCE, SCALAR, SCAN, FILTER
     ], [
-        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "statistics": Write,
-        "long_faces": Write, "keys": Write,
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
+        "triangle_support": Write, "listed_faces": Write, "keys": Write,
     ], { constants: &[("KEYED", 1.0)] }),
     pass!("update", Iterate, Strips, 256, [DISPATCH, SCALAR, FILL], [
-        "cylinders": Read, "statistics": Read, "radii": Write, "travels": Write,
+        "cylinders": Read, "triangle_values": Read, "radii": Write, "travels": Write,
     ]),
     pass!("support", Support, Nodes, 64, [DISPATCH], [
-        "statistics": Read, "support": Write, "residuals": Write, "tallies": Write, "offsets": Read,
+        "triangle_support": Read, "support": Write, "residuals": Write, "tallies": Write, "offsets": Read,
     ]),
 ];
 
 /// Numbers of invocations per short face that `measure_short` is built for. Each has eight of the face's
 /// points.
 pub const LANES: [u32; 6] = [1, 2, 4, 8, 16, 32];
+
+/// The same for `measure_middle`.
+const MIDDLE_LANES: [u32; 3] = [8, 16, 32];
 
 /// The constants of the arc tangent.
 fn angle_constants() -> String {

@@ -3,7 +3,7 @@
 use super::FitWorkspace;
 use crate::cylinders::fit::DeformedTube;
 use crate::cylinders::fit::cpu::Deformation;
-use crate::cylinders::passes::{NONE, Section, long_faces};
+use crate::cylinders::passes::{FitParameters, NONE, Section, TriangleStatistic, listed_faces};
 use crate::gpu::{Context, GpuError, checked};
 use crate::settings::Settings;
 
@@ -101,7 +101,7 @@ pub(super) fn run_on_cpu(
 
     let mut progress = Vec::with_capacity(sections.len());
     let (mut offsets, mut points) = (vec![0_u32], Vec::new());
-    let (mut radii, mut statistics) = (Vec::new(), Vec::new());
+    let (mut radii, mut values, mut support) = (Vec::new(), Vec::new(), Vec::new());
     for (section, &radius_mm) in sections.iter().zip(radii_mm) {
         let mut deformation = Deformation::new(section, radius_mm, settings, history);
         for _ in 0..stages.iterations() {
@@ -109,20 +109,23 @@ pub(super) fn run_on_cpu(
         }
         let before = points.len() as u32;
         offsets.extend(deformation.groups.offsets.iter().skip(1).map(|offset| before + offset));
-        points.extend_from_slice(&deformation.groups.points);
+        points.extend(deformation.groups.points.iter().map(|[r, theta, z]| [*r, *theta, *z, 0.0]));
         radii.extend_from_slice(&deformation.radii);
-        statistics
-            .extend(deformation.statistics.iter().map(|s| [s.value.to_bits(), s.kept, s.residual.to_bits()]));
+        values.extend(deformation.statistics.iter().map(TriangleStatistic::value_word));
+        support.extend(deformation.statistics.iter().map(TriangleStatistic::support_words));
         progress.push(CpuProgress { travel_mm: deformation.travel_mm, history_mm: deformation.history_mm });
     }
     write("offsets", bytemuck::cast_slice(&offsets))?;
     let counts: Vec<u32> = offsets.windows(2).map(|ends| ends[1] - ends[0]).collect();
-    let long = long_faces(&counts, workspace.parameters().max_short);
-    write("long_faces", bytemuck::cast_slice(&[&[long.len() as u32, 0], &long[..]].concat()))?;
+    let FitParameters { max_short, max_middle, .. } = *workspace.parameters();
+    let words = workspace.buffer("listed_faces").size() as usize / 4;
+    let listed = listed_faces(&counts, max_short, max_middle, words);
+    write("listed_faces", bytemuck::cast_slice(&listed))?;
     write("grouped", bytemuck::cast_slice(&points))?;
     if stages.iterations() > 0 {
         write("radii", bytemuck::cast_slice(&radii))?;
-        write("statistics", bytemuck::cast_slice(&statistics))?;
+        write("triangle_values", bytemuck::cast_slice(&values))?;
+        write("triangle_support", bytemuck::cast_slice(&support))?;
     }
     Ok(progress)
 }

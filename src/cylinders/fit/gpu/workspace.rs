@@ -2,7 +2,7 @@
 
 use super::pass::{Items, LANES, Pass, Stage};
 use super::{CpuStages, ReadyPass};
-use crate::cylinders::passes::{DeviceCylinder, DevicePair, FitParameters};
+use crate::cylinders::passes::{DeviceCylinder, DevicePair, FitParameters, LIST_HEAD};
 use crate::gpu::{Buffers, Context, GpuError, Timer, dispatch_size};
 use crate::settings::Settings;
 use rayon::prelude::*;
@@ -23,9 +23,10 @@ pub(super) enum Points<'a> {
 pub struct FitWorkspace {
     parameters: FitParameters,
     iterations: u32,
-    short: ShortFaces,
+    classes: Classes,
     /// Whether faces have so many points that several workgroups share the distances of each.
     shared_faces: bool,
+    middle_groups: u32,
     long_groups: u32,
     buffers: Buffers,
     /// Bind groups by pass, `update`'s by iteration.
@@ -38,7 +39,7 @@ pub struct FitWorkspace {
 /// The size of a batch, in all its terms.
 pub(super) struct Plan {
     parameters: FitParameters,
-    short: ShortFaces,
+    classes: Classes,
     shared_faces: bool,
     travel_stride: u64,
     sizes: Vec<(&'static str, u64)>,
@@ -63,25 +64,26 @@ impl Plan {
             Points::Section { count } => (u64::from(*count), 0, None),
         };
         let width = context.subgroup_width().filter(|_| subgroups);
-        let short = ShortFaces::new(slots, faces, width);
+        let classes = Classes::new(slots, faces, width);
         // Slots are numbered in u32, whatever the device could hold.
         let slot_count = u32::try_from(slots).map_err(|_| GpuError::TooLarge {
             name: "section".into(),
             needed: 12 * slots,
             allowed: 12 * u64::from(u32::MAX),
         })?;
-        let mut parameters = FitParameters::new(settings, cylinders, slot_count, pairs, short.lanes);
+        let mut parameters = FitParameters::new(settings, cylinders, slot_count, pairs, classes.lanes());
         // One window where the points fit a cache anyhow, or the device is a program that has no more than
         // the CPU's.
         if slot_count > 2 * WINDOW && !context.is_software() {
-            parameters.window = WINDOW.max(slot_count.div_ceil(MOST_WINDOWS));
+            let windows = slot_count.div_ceil(WINDOW).min(MOST_WINDOWS);
+            parameters.window = parameters.window.div_ceil(windows);
         }
         let alignment = u64::from(context.device.limits().min_storage_buffer_offset_alignment);
         let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
         let sizes = sizes(&parameters, point_count, settings.iterations, history, travel_stride);
         // A program on the CPU has no idle processors that could share them.
-        let shared_faces = short.lanes == 0 && slots >= SHARED_FACE * faces && !context.is_software();
-        Ok(Self { parameters, short, shared_faces, travel_stride, sizes })
+        let shared_faces = classes.short.lanes == 0 && slots >= SHARED_FACE * faces && !context.is_software();
+        Ok(Self { parameters, classes, shared_faces, travel_stride, sizes })
     }
 }
 
@@ -141,13 +143,14 @@ pub(super) fn sizes(
         ("places", 8 * slots),
         ("block_sums", 4 * faces.div_ceil(1024)),
         ("offsets", 4 * (faces + 1)),
-        ("grouped", 12 * slots),
-        // Their number, the number of those that were measured to the end, and the faces.
-        ("long_faces", 4 * (2 + most_long(parameters))),
+        ("grouped", 16 * slots),
+        ("listed_faces", 4 * (LIST_HEAD as u64 + most_above(parameters, parameters.max_short))),
         ("keys", if slots > u64::from(parameters.max_short) { 4 * slots } else { 4 }),
         ("primitive", 4 * nodes),
         ("radii", 4 * nodes),
-        ("statistics", 24 * faces),
+        // Two triangles each.
+        ("triangle_values", 8 * faces),
+        ("triangle_support", 16 * faces),
         ("travels", travel_stride * u64::from(iterations.max(1))),
         ("support", 4 * nodes),
         ("residuals", 4 * nodes),
@@ -156,34 +159,51 @@ pub(super) fn sizes(
     ]
 }
 
-/// Most long faces that a batch can have.
-fn most_long(parameters: &FitParameters) -> u64 {
+/// Most faces of a batch that can have more than so many points.
+fn most_above(parameters: &FitParameters, points: u32) -> u64 {
     let faces = u64::from(parameters.cylinders) * u64::from(parameters.faces);
-    faces.min(u64::from(parameters.slots) / u64::from(parameters.max_short + 1))
+    faces.min(u64::from(parameters.slots) / (u64::from(points) + 1))
 }
 
-/// How the faces with few points are measured.
+/// How the faces of a class are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct ShortFaces {
-    /// Invocations per face, each with eight of its points; 0 where every face with points is a long one.
+struct Class {
+    /// Invocations per face, each with eight of its points; 0 where there is no such class.
     lanes: u32,
     /// Whether they exchange values in subgroups.
     subgroups: bool,
 }
 
-impl ShortFaces {
-    /// The way for a number of points and faces. Points are spread over the faces about evenly more often
-    /// than not: four standard deviations of such a spread still fit a short face. `width` is that of the
-    /// device's subgroups.
-    pub(super) fn new(slots: u64, faces: u64, width: Option<u32>) -> Self {
+/// The classes of faces below the long ones, by their number of points.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Classes {
+    short: Class,
+    /// Those of which there are few.
+    middle: Class,
+}
+
+impl Classes {
+    /// The classes for a number of points and faces. Points are spread over the faces about evenly more often
+    /// than not: two standard deviations of such a spread still fit a short face, and more faces would be listed
+    /// if it were less. `width` is that of the device's subgroups.
+    fn new(slots: u64, faces: u64, width: Option<u32>) -> Self {
         let mean = slots as f64 / faces.max(1) as f64;
-        let most = mean + 4.0 * mean.sqrt();
-        let lanes = LANES.into_iter().find(|&lanes| f64::from(8 * lanes) >= most).unwrap_or(0);
-        Self { lanes, subgroups: width.is_some_and(|width| lanes <= width) }
+        let most = mean + 2.0 * mean.sqrt();
+        let short = LANES.into_iter().find(|&lanes| f64::from(8 * lanes) >= most).unwrap_or(0);
+        let middle = match short {
+            0 | 32 => 0,
+            lanes => (8 * lanes).min(32),
+        };
+        let class = |lanes| Class { lanes, subgroups: width.is_some_and(|width| lanes <= width) };
+        Self { short: class(short), middle: class(middle) }
+    }
+
+    fn lanes(&self) -> [u32; 2] {
+        [self.short.lanes, self.middle.lanes]
     }
 }
 
-/// Places among the grouped points that `scatter` writes at a time: 25 MB of them, half of a large cache.
+/// Points that `scatter` writes at a time, about: 34 MB of them, which a large cache holds.
 const WINDOW: u32 = 1 << 21;
 
 /// Points per face on average from which several workgroups share a face's distances.
@@ -195,14 +215,14 @@ const MOST_WINDOWS: u32 = 64;
 /// Most workgroups of `update` in all: each adds to the two words of its cylinder's travel once.
 const MOST_UPDATE_GROUPS: u32 = 1024;
 
-/// The number of workgroups that share the long faces, of which there are at most `max_long`: enough to fill a GPU,
+/// The number of workgroups that take so many long faces, or blocks of others, in turn: enough to fill a GPU,
 /// and a few per thread on software, where even an idle workgroup costs microseconds.
 ///
-/// No workgroup gets more than 128 faces: llvmpipe ends an invocation's loops, without an error, after 65,535 rounds
+/// No workgroup gets more than 128 faces, or blocks of faces of middle size: llvmpipe ends an invocation's loops, without an error, after 65,535 rounds
 /// in all, and a face takes about a hundred rounds besides those over its points.
-fn long_groups(context: &Context, max_long: u64) -> u64 {
+fn groups_in_turn(context: &Context, most: u64) -> u64 {
     let groups = if context.is_software() { 2 * rayon::current_num_threads() as u64 } else { 1024 };
-    groups.max(max_long.div_ceil(128)).min(max_long)
+    groups.max(most.div_ceil(128)).min(most)
 }
 
 impl FitWorkspace {
@@ -220,7 +240,7 @@ impl FitWorkspace {
         settings: &Settings,
         kept: Option<Self>,
     ) -> Result<Self, GpuError> {
-        let Plan { parameters, short, shared_faces, travel_stride, sizes } = plan;
+        let Plan { parameters, classes, shared_faces, travel_stride, sizes } = plan;
         let iterations = settings.iterations;
         let known = kept.as_ref().is_some_and(|kept| {
             kept.radii_mm == radii_mm && kept.parameters.node_count == parameters.node_count
@@ -233,12 +253,17 @@ impl FitWorkspace {
                 (buffers, bind_groups)
             }
         };
+        let middle_blocks = match classes.middle.lanes {
+            0 => 0,
+            lanes => most_above(&parameters, parameters.max_short).div_ceil(u64::from(128 / lanes)),
+        };
         let workspace = Self {
             parameters,
             iterations,
-            short,
+            classes,
             shared_faces,
-            long_groups: long_groups(context, most_long(&parameters)) as u32,
+            middle_groups: groups_in_turn(context, middle_blocks) as u32,
+            long_groups: groups_in_turn(context, most_above(&parameters, parameters.max_middle)) as u32,
             buffers,
             bind_groups,
             travel_stride,
@@ -312,12 +337,16 @@ impl FitWorkspace {
         let (count, layers) = match pass.items {
             Items::Pairs => (parameters.pairs, 1),
             Items::Tiles | Items::FewTiles => (parameters.slots.div_ceil(1024), 1),
-            Items::Slots => (parameters.slots.div_ceil(size), parameters.slots.div_ceil(parameters.window)),
+            Items::Slots => {
+                let all_faces = parameters.cylinders * parameters.faces;
+                (parameters.slots.div_ceil(size), all_faces.div_ceil(parameters.window))
+            }
             Items::SeveralBlocks | Items::Blocks => (blocks, 1),
             Items::Spine => (1, 1),
             Items::ShortFaces | Items::ShortFacesShared => {
-                (parameters.faces.div_ceil(size / self.short.lanes.max(1)), parameters.cylinders)
+                (parameters.faces.div_ceil(size / self.classes.short.lanes.max(1)), parameters.cylinders)
             }
+            Items::MiddleFaces | Items::MiddleFacesShared => (self.middle_groups, 1),
             Items::LongFaces | Items::KeyedFaces => (self.long_groups, 1),
             Items::Points => (parameters.slots.div_ceil(size), 1),
             Items::Strips => {
@@ -342,8 +371,10 @@ impl FitWorkspace {
             Items::FewTiles => !several_blocks,
             Items::LongFaces => !self.shared_faces,
             Items::Points | Items::KeyedFaces => self.shared_faces,
-            Items::ShortFaces => self.short.lanes > 0 && self.short.subgroups,
-            Items::ShortFacesShared => self.short.lanes > 0 && !self.short.subgroups,
+            Items::ShortFaces => self.classes.short.lanes > 0 && self.classes.short.subgroups,
+            Items::ShortFacesShared => self.classes.short.lanes > 0 && !self.classes.short.subgroups,
+            Items::MiddleFaces => self.classes.middle.subgroups,
+            Items::MiddleFacesShared => !self.classes.middle.subgroups,
             _ => true,
         };
         work && self.groups(pass)[0] > 0
@@ -363,7 +394,11 @@ impl FitWorkspace {
         if x > 0
             && let Some(bind_group) = bind_groups.get(iteration as usize).or(bind_groups.first())
         {
-            compute.set_pipeline(ready.pipeline.get(&context.device, self.short.lanes)?);
+            let class = match ready.pass.items {
+                Items::MiddleFaces | Items::MiddleFacesShared => self.classes.middle,
+                _ => self.classes.short,
+            };
+            compute.set_pipeline(ready.pipeline.get(&context.device, class.lanes)?);
             compute.set_bind_group(0, bind_group, &[]);
             compute.dispatch_workgroups(x, y, z);
         }
@@ -399,16 +434,18 @@ impl FitWorkspace {
         for (name, bytes) in [("counts", 4 * all_faces), ("travels", travels), ("tallies", tallies)] {
             encoder.clear_buffer(&self.buffers[name], 0, Some(bytes));
         }
-        // The CPU lists the long faces where it groups the points.
-        let kept_words = u64::from(done >= CpuStages::Group);
-        encoder.clear_buffer(&self.buffers["long_faces"], 4 * kept_words, Some(4 * (2 - kept_words)));
+        // The CPU lists the faces where it groups the points.
+        if done < CpuStages::Group {
+            encoder.clear_buffer(&self.buffers["listed_faces"], 0, Some(4 * LIST_HEAD as u64));
+        }
         if done < CpuStages::Project && self.parameters.single == 0 {
             encoder.clear_buffer(&self.buffers["gated"], 0, None);
         }
         if done.iterations() == 0 {
             // Elsewhere every triangle's is written.
-            if self.short.lanes == 0 || self.iterations == 0 {
-                encoder.clear_buffer(&self.buffers["statistics"], 0, Some(24 * all_faces));
+            if self.classes.short.lanes == 0 || self.iterations == 0 {
+                encoder.clear_buffer(&self.buffers["triangle_values"], 0, Some(8 * all_faces));
+                encoder.clear_buffer(&self.buffers["triangle_support"], 0, Some(16 * all_faces));
             }
             let radii = 4 * all_nodes;
             encoder.copy_buffer_to_buffer(&self.buffers["primitive"], 0, self.radii(), 0, Some(radii));
