@@ -65,10 +65,20 @@ fn count_first(key: u32) {
 fn count(key: u32, prefix: vec4u, shift: u32) {
     let digit = (key >> shift) & 0x7fu;
     let same = vec4u((key >> shift) >> 7u) == ((prefix >> vec4u(shift)) >> vec4u(7u));
-    for (var which = 0u; which < 4u; which++) {
-        if (same[which] && key != EMPTY) {
-            atomicAdd(&histogram[128u * which + digit], 1u);
-        }
+    if (!any(same) || key == EMPTY) {
+        return;
+    }
+    if (same.x) {
+        atomicAdd(&histogram[digit], 1u);
+    }
+    if (same.y) {
+        atomicAdd(&histogram[128u + digit], 1u);
+    }
+    if (same.z) {
+        atomicAdd(&histogram[256u + digit], 1u);
+    }
+    if (same.w) {
+        atomicAdd(&histogram[384u + digit], 1u);
     }
 }
 
@@ -310,7 +320,10 @@ fn main(
             }
             let triangle = (2u * cylinder + local) * parameters.faces + face;
             triangle_values[triangle] = word;
-            triangle_support[triangle] = own;
+            // Only the last iteration's is used.
+            if (parameters.last == 1u) {
+                triangle_support[triangle] = own;
+            }
         }
         if (local == 0u && atomicLoad(&seen) == end - begin) {
             atomicAdd(&listed_faces[LONG_DONE], 1u);

@@ -1,8 +1,6 @@
 // The faces with few points, where a subgroup has LANES invocations or more: they read each other's registers.
 // A workgroup of 128 consists of full subgroups, by which its invocations are numbered.
 
-var<workgroup> sums_of_subgroups: array<u32, 32>;
-var<private> subgroup: u32;
 var<private> subgroup_width: u32;
 
 // The value of the invocation whose number differs by the bits of the mask.
@@ -11,21 +9,8 @@ fn exchange(own: vec4u, mask: u32, local: u32) -> vec4u {
 }
 
 // The value of another invocation of the face.
-fn value_of(own: u32, other: u32, local: u32) -> u32 {
+fn value_at(own: u32, other: u32, local: u32) -> u32 {
     return subgroupShuffle(own, other % subgroup_width);
-}
-
-// The sum of the values of all invocations with smaller numbers.
-fn sum_before(own: u32, local: u32) -> u32 {
-    var before = subgroupExclusiveAdd(own);
-    if (local % subgroup_width == subgroup_width - 1u) {
-        sums_of_subgroups[subgroup] = before + own;
-    }
-    workgroupBarrier();
-    for (var i = 0u; i < subgroup; i++) {
-        before += sums_of_subgroups[i];
-    }
-    return before;
 }
 
 @compute @workgroup_size(128)
@@ -36,7 +21,6 @@ fn main(
     @builtin(subgroup_size) width: u32,
     @builtin(subgroup_invocation_id) lane: u32,
 ) {
-    subgroup = id;
     subgroup_width = width;
     measure_blocks(workgroup_index(group, groups), groups.x * groups.y, group.z, id * width + lane);
 }

@@ -12,26 +12,11 @@ fn exchange(own: vec4u, mask: u32, local: u32) -> vec4u {
 }
 
 // The value of another invocation of the face.
-fn value_of(own: u32, other: u32, local: u32) -> u32 {
+fn value_at(own: u32, other: u32, local: u32) -> u32 {
     workgroupBarrier();
     exchanged[local].x = own;
     workgroupBarrier();
     return exchanged[other].x;
-}
-
-// The sum of the values of all invocations with smaller numbers.
-fn sum_before(own: u32, local: u32) -> u32 {
-    var before = 0u;
-    for (var mask = 1u; mask < THREADS; mask *= 2u) {
-        // The sum of the block of `mask` invocations to the left, where this one is in the right half of two.
-        workgroupBarrier();
-        exchanged[local].x = before + own;
-        workgroupBarrier();
-        if ((local & mask) != 0u) {
-            before += exchanged[(local & ~(2u * mask - 1u)) + mask - 1u].x;
-        }
-    }
-    return before;
 }
 
 @compute @workgroup_size(128)

@@ -72,10 +72,15 @@ fn main(
         var below = 0.0;
         var above = 0.0;
         var next_above = 0.0;
+        // Read before the barriers, since reading takes longest.
+        var own_below = NO_VALUE;
+        var own_above = NO_VALUE;
         if (has_below) {
+            own_below = triangle_values[top + (ring - 1u) * nodes + j];
             below = bottom_of(bottom, top, ring - 1u, j, next);
         }
         if (has_above) {
+            own_above = triangle_values[top + ring * nodes + j];
             above = bottom_of(bottom, top, ring, j, next);
         }
         if (has_next) {
@@ -86,12 +91,10 @@ fn main(
         workgroupBarrier();
         let left = max(local, 1u) - 1u;
         if (has_below) {
-            let own = triangle_values[top + (ring - 1u) * nodes + j];
-            top_below[local] = top_value(own, below, bottom_below[left], above, has_above);
+            top_below[local] = top_value(own_below, below, bottom_below[left], above, has_above);
         }
         if (has_above) {
-            let own = triangle_values[top + ring * nodes + j];
-            top_above[local] = top_value(own, above, bottom_above[left], next_above, has_next);
+            top_above[local] = top_value(own_above, above, bottom_above[left], next_above, has_next);
         }
         workgroupBarrier();
         if (takes_part && column >= 2u) {

@@ -86,14 +86,14 @@ fn bin_and_scatter_are_their_twin() {
     }
 }
 
-/// More points than two windows have, window by window of faces.
+/// More points than a window has, window by window of faces.
 #[test]
 fn scatter_writes_window_by_window() {
     let Some(device) = device_of_a_host() else { return };
     let settings = Settings::default().with_nodes(64).with_levels(48);
-    let count = (2 << 21) + 1;
+    let count = (1 << 22) + 1;
     let workspace = device.engine.prepare(count, RADIUS_MM, &settings).unwrap();
-    assert_eq!(workspace.parameters().window, 64 * 48 / 3);
+    assert_eq!(workspace.parameters().window, 64 * 48 / 2);
     bins_and_scatters(device, &wall(count as usize, 241), &settings);
 }
 

@@ -223,7 +223,7 @@ macro_rules! fields {
 fn structures_have_the_same_layout() {
     let parameters = fields!(FitParameters: nodes, levels, faces, node_count, cylinders, slots, outliers, statistic,
         half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, max_short, max_middle, pairs,
-        window);
+        window, last);
     let cylinder = fields!(DeviceCylinder: gate_low, gate_high, scale, unit);
     for pass in fit() {
         assert_eq!(layout(&module(pass), "FitParameters"), parameters, "{}", pass.name);

@@ -1,7 +1,7 @@
 // Distances and statistics of the faces with few points: LANES invocations per face, each with eight of its
-// keys in registers. Order statistics by sorting, a network whose steps do not depend on the data.
-// Invocations read each other's values through `exchange`, `value_of` and `sum_before`: the two files that
-// include this one differ in how.
+// points, whose keys it has in registers. Order statistics by sorting, a network whose steps do not depend on the
+// data. Invocations read each other's values through `exchange` and `value_at`: the two files that include this one
+// differ in how.
 
 override LANES: u32 = 8u;
 // 1: the faces of middle size, which are listed, instead of the short ones among all.
@@ -18,14 +18,6 @@ override MIDDLE: u32 = 0u;
 @group(0) @binding(7) var<storage, read> listed_faces: array<u32>;
 
 const THREADS: u32 = 128u;
-
-// Per face of the workgroup: r of its corner a, its other corners and inverse squares, and the scale of its
-// cylinder; its first point; and the number of points of the faces before it.
-var<workgroup> shapes: array<array<vec4f, 3>, 128>;
-var<workgroup> begins: array<u32, 128>;
-var<workgroup> starts: array<u32, 129>;
-// Face after face.
-var<workgroup> keys: array<u32, 1024>;
 
 struct Keys {
     a: vec4u,
@@ -131,16 +123,21 @@ fn sum_of_face(own: vec4u, local: u32) -> vec4u {
     return sum;
 }
 
+// The same of two numbers.
+fn sum_of_pairs(own: vec2u, local: u32) -> vec2u {
+    return sum_of_face(vec4u(own, vec2u(0u)), local).xy;
+}
+
 // The key of that rank among the sorted keys of a face.
 fn key_at(k: Keys, rank: u32, local: u32) -> u32 {
     let four = select(k.a, k.b, (rank & 4u) != 0u);
     let two = select(four.xy, four.zw, (rank & 2u) != 0u);
     let own = select(two.x, two.y, (rank & 1u) != 0u);
     // Of the invocation that holds the rank; what a rank beyond all keys gives is not used.
-    return value_of(own, local / LANES * LANES + min(rank / 8u, LANES - 1u), local);
+    return value_at(own, local / LANES * LANES + min(rank / 8u, LANES - 1u), local);
 }
 
-// What an invocation knows of its keys: x of all, y of those of the top triangle.
+// What is known of a face's keys, of its bottom triangle and its top one.
 struct Sums {
     kept: vec2u,
     below: vec2u,
@@ -151,8 +148,8 @@ struct Sums {
     high_size: vec2u,
 }
 
-// The sums of an invocation: `size` has the numbers kept from bit 23 on, since no face has more than 256 keys and
-// their sizes' upper parts have 15 bits each.
+// The same of an invocation's keys, x of all, y of those of the top triangle. `size` has the numbers kept from bit
+// 23 on, since no face has more than 256 keys, and the upper parts of their sizes have 15 bits each.
 struct OwnSums {
     below: vec2u,
     low: vec2u,
@@ -171,19 +168,21 @@ fn add(sums: OwnSums, key: u32, bottom: Bounds, top: Bounds, rule: Cylinder) -> 
     let is_key = key != EMPTY;
     let kept = is_key && d >= low && d <= high;
     let step = select(0, fixed(d, rule.scale), kept);
-    let size = bitcast<u32>(abs(step));
     let mask = vec2u(0xffffffffu, select(0u, 0xffffffffu, is_top));
-    var below = sums.below;
-    if (parameters.statistic == STATISTIC_MEDIAN) {
-        below += mask & vec2u(select(0u, 1u, is_key && d < low));
+    var own = sums;
+    own.low += mask & vec2u(bitcast<u32>(step) & 0xffffu);
+    own.high += mask & vec2u(bitcast<u32>(step >> 16u));
+    var size = select(0u, ONE_KEPT, kept);
+    // Of the sizes only the last iteration's are used.
+    if (parameters.last == 1u) {
+        own.low_size += mask & vec2u(bitcast<u32>(abs(step)) & 0xffffu);
+        size += bitcast<u32>(abs(step)) >> 16u;
     }
-    return OwnSums(
-        below,
-        sums.low + (mask & vec2u(bitcast<u32>(step) & 0xffffu)),
-        sums.high + (mask & vec2u(bitcast<u32>(step >> 16u))),
-        sums.low_size + (mask & vec2u(size & 0xffffu)),
-        sums.size + (mask & vec2u((size >> 16u) + select(0u, ONE_KEPT, kept))),
-    );
+    own.size += mask & vec2u(size);
+    if (parameters.statistic == STATISTIC_MEDIAN) {
+        own.below += mask & vec2u(select(0u, 1u, is_key && d < low));
+    }
+    return own;
 }
 
 fn sums_of(k: Keys, bottom: Bounds, top: Bounds, rule: Cylinder, local: u32) -> Sums {
@@ -198,18 +197,22 @@ fn sums_of(k: Keys, bottom: Bounds, top: Bounds, rule: Cylinder, local: u32) -> 
     own = add(own, k.b.z, bottom, top, rule);
     own = add(own, k.b.w, bottom, top, rule);
     let sum = sum_of_face(vec4u(own.low, own.high), local);
-    let size = sum_of_face(vec4u(own.low_size, own.size), local);
+    let size = sum_of_pairs(own.size, local);
+    var low_size = none;
+    if (parameters.last == 1u) {
+        low_size = sum_of_pairs(own.low_size, local);
+    }
     var below = none;
     if (parameters.statistic == STATISTIC_MEDIAN) {
-        below = sum_of_face(vec4u(own.below, none), local).xy;
+        below = sum_of_pairs(own.below, local);
     }
     return Sums(
-        apart(size.zw / vec2u(ONE_KEPT)),
+        apart(size / vec2u(ONE_KEPT)),
         apart(below),
         apart(sum.xy),
         apart(sum.zw),
-        apart(size.xy),
-        apart(size.zw % vec2u(ONE_KEPT)),
+        apart(low_size),
+        apart(size % vec2u(ONE_KEPT)),
     );
 }
 
@@ -235,18 +238,21 @@ fn bounds_of(half: u32, n: u32, quartiles: vec2f, all: Sums, unit: f32) -> Bound
 
 fn write_triangle(triangle: u32, half: u32, sums: Sums, median_key: u32, unit: f32) {
     let kept = sums.kept[half];
-    if (kept == 0u) {
-        triangle_values[triangle] = NO_VALUE;
-        triangle_support[triangle] = TriangleSupport(0u, 0.0);
-        return;
+    var word = NO_VALUE;
+    if (kept > 0u) {
+        word = value_word(mean_of(join(sums.low[half], sums.high[half]), unit, kept));
+        if (parameters.statistic == STATISTIC_MEDIAN) {
+            word = value_word(unpacked(median_key, unit));
+        }
     }
-    var value = mean_of(join(sums.low[half], sums.high[half]), unit, kept);
-    if (parameters.statistic == STATISTIC_MEDIAN) {
-        value = unpacked(median_key, unit);
+    triangle_values[triangle] = word;
+    if (parameters.last == 1u) {
+        var residual = 0.0;
+        if (kept > 0u) {
+            residual = mean_of(join(sums.low_size[half], sums.high_size[half]), unit, kept);
+        }
+        triangle_support[triangle] = TriangleSupport(kept, residual);
     }
-    let residual = mean_of(join(sums.low_size[half], sums.high_size[half]), unit, kept);
-    triangle_values[triangle] = value_word(value);
-    triangle_support[triangle] = TriangleSupport(kept, residual);
 }
 
 // A face of the workgroup's, among those of all cylinders; NONE where there are no more.
@@ -262,109 +268,65 @@ fn face_at(block: u32, cylinder: u32, slot: u32) -> u32 {
     return NONE;
 }
 
+// The key of a point.
+fn key_of_point(p: vec4f, is_point: bool, a: f32, face: Face, scale: f32) -> u32 {
+    if (!is_point) {
+        return EMPTY;
+    }
+    let nearer = distance_to_face(vec3f(p.x - a, p.yz), face);
+    return packed_key(nearer.distance, nearer.top, scale);
+}
+
+// The keys of four points of an invocation, from the first-th of its face on. All are read before the first
+// distance is computed.
+fn four_keys(begin: u32, count: u32, first: u32, a: f32, face: Face, scale: f32) -> vec4u {
+    let last = max(count, 1u) - 1u;
+    let at = vec4u(first, first + LANES, first + 2u * LANES, first + 3u * LANES);
+    let places = vec4u(begin) + min(at, vec4u(last));
+    let p = grouped[places.x];
+    let q = grouped[places.y];
+    let r = grouped[places.z];
+    let s = grouped[places.w];
+    return vec4u(
+        key_of_point(p, at.x < count, a, face, scale),
+        key_of_point(q, at.y < count, a, face, scale),
+        key_of_point(r, at.z < count, a, face, scale),
+        key_of_point(s, at.w < count, a, face, scale),
+    );
+}
+
 // The block-th 128 / LANES faces of a cylinder, or of the list.
 fn measure(block: u32, cylinder: u32, local: u32) {
-    let faces_here = THREADS / LANES;
-    var begin = 0u;
-    var points = 0u;
-    if (local < faces_here) {
-        let face_of_all = face_at(block, cylinder, local);
-        if (face_of_all != NONE) {
-            begin = offsets[face_of_all];
-            points = offsets[face_of_all + 1u] - begin;
-            points = select(0u, points, points <= 8u * LANES);
-        }
-        if (points > 0u) {
-            let owner = face_of_all / parameters.faces;
-            let face = face_of_all - owner * parameters.faces;
-            let level = face / parameters.nodes;
-            let j = face - level * parameters.nodes;
-            let k = select(j + 1u, 0u, j + 1u == parameters.nodes);
-            let row = owner * parameters.node_count + level * parameters.nodes;
-            let above = row + parameters.nodes;
-            let a = radii[row + j];
-            let own = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
-            shapes[local] = array<vec4f, 3>(
-                vec4f(a, own.b, own.b_above, own.a_above),
-                vec4f(own.per_ab, own.per_aa, own.per_diagonal, own.per_bb),
-                vec4f(own.per_across, own.per_bottom, own.per_top, cylinders[owner].scale),
-            );
-        }
-    }
-    let before = sum_before(points, local);
-    if (local < faces_here) {
-        begins[local] = begin;
-        starts[local] = before;
-        if (local == faces_here - 1u) {
-            starts[faces_here] = before + points;
-        }
-    }
-    workgroupBarrier();
-
-    // The points of all these faces side by side, so that no invocation waits for a face with more points.
-    let total = starts[faces_here];
-    for (var i = local; i < total; i += THREADS) {
-        // The last face that begins at or before the point. It has points: a later one that begins there too
-        // would be the last.
-        var f = 0u;
-        if (LANES <= 1u) {
-            f += select(0u, 64u, starts[f + 64u] <= i);
-        }
-        if (LANES <= 2u) {
-            f += select(0u, 32u, starts[f + 32u] <= i);
-        }
-        if (LANES <= 4u) {
-            f += select(0u, 16u, starts[f + 16u] <= i);
-        }
-        if (LANES <= 8u) {
-            f += select(0u, 8u, starts[f + 8u] <= i);
-        }
-        if (LANES <= 16u) {
-            f += select(0u, 4u, starts[f + 4u] <= i);
-        }
-        f += select(0u, 2u, starts[f + 2u] <= i);
-        f += select(0u, 1u, starts[f + 1u] <= i);
-        let p = grouped[begins[f] + i - starts[f]];
-        let first = shapes[f][0];
-        let second = shapes[f][1];
-        let third = shapes[f][2];
-        let face = Face(
-            first.y,
-            first.z,
-            first.w,
-            second.x,
-            second.y,
-            second.z,
-            second.w,
-            third.x,
-            third.y,
-            third.z,
-        );
-        let nearer = distance_to_face(vec3f(p.x - first.x, p.yz), face);
-        keys[i] = packed_key(nearer.distance, nearer.top, third.w);
-    }
-    workgroupBarrier();
-
     let slot = local / LANES;
     let lane = local % LANES;
-    let start = starts[slot];
-    let count = starts[slot + 1u] - start;
     let face_of_all = face_at(block, cylinder, slot);
-    let owner = select(face_of_all / parameters.faces, 0u, face_of_all == NONE);
+    let is_face = face_of_all != NONE;
+    var owner = cylinder;
+    if (MIDDLE == 1u) {
+        owner = select(0u, face_of_all / parameters.faces, is_face);
+    }
     let rule = cylinders[owner];
+    var begin = 0u;
+    var points = 0u;
+    var a = 0.0;
+    var shape = Face();
+    if (is_face) {
+        begin = offsets[face_of_all];
+        points = offsets[face_of_all + 1u] - begin;
+        let face = face_of_all - owner * parameters.faces;
+        let level = face / parameters.nodes;
+        let j = face - level * parameters.nodes;
+        let k = select(j + 1u, 0u, j + 1u == parameters.nodes);
+        let row = owner * parameters.node_count + level * parameters.nodes;
+        let above = row + parameters.nodes;
+        a = radii[row + j];
+        shape = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
+    }
+    let is_own = is_face && points <= 8u * LANES;
+    let count = select(0u, points, is_own);
     var k = Keys(
-        vec4u(
-            key_or_empty(start, count, lane),
-            key_or_empty(start, count, lane + LANES),
-            key_or_empty(start, count, lane + 2u * LANES),
-            key_or_empty(start, count, lane + 3u * LANES),
-        ),
-        vec4u(
-            key_or_empty(start, count, lane + 4u * LANES),
-            key_or_empty(start, count, lane + 5u * LANES),
-            key_or_empty(start, count, lane + 6u * LANES),
-            key_or_empty(start, count, lane + 7u * LANES),
-        ),
+        four_keys(begin, count, lane, a, shape, rule.scale),
+        four_keys(begin, count, lane + 4u * LANES, a, shape, rule.scale),
     );
     // Top and empty keys have the highest bit.
     let others = (k.a >> vec4u(31u)) + (k.b >> vec4u(31u));
@@ -401,13 +363,15 @@ fn measure(block: u32, cylinder: u32, local: u32) {
         );
     }
 
-    if (lane == 0u && face_of_all != NONE) {
-        if (offsets[face_of_all + 1u] - offsets[face_of_all] <= 8u * LANES) {
-            // Twice the faces of the cylinders before, and the face within its own.
-            let to = face_of_all + owner * parameters.faces;
+    // Twice the faces of the cylinders before, and the face within its own.
+    let to = face_of_all + owner * parameters.faces;
+    if (LANES == 1u) {
+        if (is_own) {
             write_triangle(to, 0u, sums, medians.x, rule.unit);
             write_triangle(to + parameters.faces, 1u, sums, medians.y, rule.unit);
         }
+    } else if (is_own && lane < 2u) {
+        write_triangle(to + lane * parameters.faces, lane, sums, medians[lane], rule.unit);
     }
 }
 
@@ -423,11 +387,4 @@ fn measure_blocks(first: u32, groups: u32, cylinder: u32, local: u32) {
         measure(block, 0u, local);
         workgroupBarrier();
     }
-}
-
-fn key_or_empty(start: u32, count: u32, index: u32) -> u32 {
-    if (index < count) {
-        return keys[start + index];
-    }
-    return EMPTY;
 }

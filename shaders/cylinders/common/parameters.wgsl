@@ -22,6 +22,8 @@ struct FitParameters {
     pairs: u32,
     // Faces whose points are grouped at a time.
     window: u32,
+    // 1 in the last iteration.
+    last: u32,
 }
 
 struct Cylinder {

@@ -181,6 +181,8 @@ pub struct FitParameters {
     pub pairs: u32,
     /// Faces of the batch whose points `scatter` writes at a time.
     pub window: u32,
+    /// 1 in the last iteration, whose support is used.
+    pub last: u32,
 }
 
 impl FitParameters {
@@ -222,6 +224,7 @@ impl FitParameters {
             max_middle: 8 * short_lanes.max(middle_lanes),
             pairs: pairs.unwrap_or(0),
             window: cylinders.saturating_mul(tube.face_count() as u32).max(1),
+            last: 1,
         }
     }
 }

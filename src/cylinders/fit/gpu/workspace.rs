@@ -29,7 +29,8 @@ pub struct FitWorkspace {
     middle_groups: u32,
     long_groups: u32,
     buffers: Buffers,
-    /// Bind groups by pass, `update`'s by iteration.
+    /// Bind groups by pass: `update`'s by iteration, those of the passes before it for the last iteration and for
+    /// the others.
     bind_groups: BTreeMap<&'static str, Vec<wgpu::BindGroup>>,
     travel_stride: u64,
     /// Radii of the primitive tubes, which the device holds.
@@ -74,7 +75,7 @@ impl Plan {
         let mut parameters = FitParameters::new(settings, cylinders, slot_count, pairs, classes.lanes());
         // One window where the points fit a cache anyhow, or the device is a program that has no more than
         // the CPU's.
-        if slot_count > 2 * WINDOW && !context.is_software() {
+        if slot_count > WINDOW && !context.is_software() {
             let windows = slot_count.div_ceil(WINDOW).min(MOST_WINDOWS);
             parameters.window = parameters.window.div_ceil(windows);
         }
@@ -87,7 +88,8 @@ impl Plan {
     }
 }
 
-/// Bind groups by pass, `update`'s by iteration.
+/// Bind groups by pass: `update`'s by iteration, those of the passes before it for the last iteration and for the
+/// others.
 fn bind_groups(
     context: &Context,
     passes: &[ReadyPass],
@@ -98,15 +100,24 @@ fn bind_groups(
     let mut bind_groups = BTreeMap::new();
     for ReadyPass { pass, pipeline } in passes {
         let name = pass.shader.name;
-        let repeats = if name == "update" { iterations } else { 1 };
+        let repeats = match pass.stage {
+            Stage::Iterate if name == "update" => iterations,
+            Stage::Iterate => 2,
+            _ => 1,
+        };
         let groups = (0..repeats)
-            .map(|iteration| {
+            .map(|place| {
+                let part = |name, offset, size| {
+                    let buffer = &buffers[name];
+                    wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset, size })
+                };
                 pipeline.bind(&context.device, |name| match name {
-                    "travels" => wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                        buffer: &buffers[name],
-                        offset: travel_stride * u64::from(iteration),
-                        size: None,
-                    }),
+                    "travels" => part(name, travel_stride * u64::from(place), None),
+                    "parameters" => {
+                        let is_other = repeats == 2 && pass.shader.name != "update" && place == 1;
+                        let offset = if is_other { PARAMETERS_STRIDE } else { 0 };
+                        part(name, offset, wgpu::BufferSize::new(size_of::<FitParameters>() as u64))
+                    }
                     _ => buffers[name].as_entire_binding(),
                 })
             })
@@ -132,7 +143,8 @@ pub(super) fn sizes(
     ];
     let paired = parameters.single == 0;
     vec![
-        ("parameters", size_of::<FitParameters>() as u64),
+        // For the last iteration and all other stages, then for the iterations before.
+        ("parameters", PARAMETERS_STRIDE + size_of::<FitParameters>() as u64),
         ("cylinders", 16 * cylinders),
         ("points", 8 * points as u64),
         ("pairs", size_of::<DevicePair>() as u64 * u64::from(parameters.pairs)),
@@ -203,8 +215,12 @@ impl Classes {
     }
 }
 
-/// Points that `scatter` writes at a time, about: 34 MB of them, which a large cache holds.
-const WINDOW: u32 = 1 << 21;
+/// Bytes between the parameters of the last iteration and those of the others: a multiple of every device's
+/// alignment.
+const PARAMETERS_STRIDE: u64 = 256;
+
+/// Points that `scatter` writes at a time, about: 67 MB of them, most of which a large cache holds.
+const WINDOW: u32 = 1 << 22;
 
 /// Points per face on average from which several workgroups share a face's distances.
 const SHARED_FACE: u64 = 2048;
@@ -269,7 +285,11 @@ impl FitWorkspace {
             travel_stride,
             radii_mm: radii_mm.to_vec(),
         };
-        workspace.write(context, "parameters", bytemuck::bytes_of(&parameters))?;
+        let before = FitParameters { last: 0, ..parameters };
+        let mut both = vec![0; PARAMETERS_STRIDE as usize + size_of::<FitParameters>()];
+        both[..size_of::<FitParameters>()].copy_from_slice(bytemuck::bytes_of(&parameters));
+        both[PARAMETERS_STRIDE as usize..].copy_from_slice(bytemuck::bytes_of(&before));
+        workspace.write(context, "parameters", &both)?;
         if !known {
             let count = parameters.node_count as usize;
             let repeated = |&radius: &f64| rayon::iter::repeat_n(radius as f32, count);
@@ -390,9 +410,13 @@ impl FitWorkspace {
     ) -> Result<(), GpuError> {
         let [x, y, z] = self.groups(ready.pass);
         let bind_groups = &self.bind_groups[ready.pass.shader.name];
-        // All but `update` bind the same in every iteration.
+        let place = match ready.pass.shader.name {
+            "update" => iteration as usize,
+            _ => usize::from(iteration + 1 < self.iterations),
+        };
+        // Only the passes of an iteration bind other buffers in some of them.
         if x > 0
-            && let Some(bind_group) = bind_groups.get(iteration as usize).or(bind_groups.first())
+            && let Some(bind_group) = bind_groups.get(place).or(bind_groups.first())
         {
             let class = match ready.pass.items {
                 Items::MiddleFaces | Items::MiddleFacesShared => self.classes.middle,
@@ -405,14 +429,15 @@ impl FitWorkspace {
         Ok(())
     }
 
-    /// Records one pass alone on the contents of the buffers (`update` as in the first iteration).
+    /// Records one pass alone on the contents of the buffers, as in the last iteration (`update` as in the first).
     pub(super) fn record_one(
         &self,
         context: &Context,
         ready: &ReadyPass,
         encoder: &mut wgpu::CommandEncoder,
     ) -> Result<(), GpuError> {
-        self.dispatch(context, ready, 0, &mut encoder.begin_compute_pass(&Default::default()))
+        let iteration = if ready.pass.shader.name == "update" { 0 } else { self.iterations };
+        self.dispatch(context, ready, iteration, &mut encoder.begin_compute_pass(&Default::default()))
     }
 
     /// Records the stages that the CPU has not `done`: grouping, all iterations, support. The buffers hold the
