@@ -3,10 +3,11 @@
 use super::residual::ResidualModel;
 use super::solver::Solved;
 use crate::Result;
-use crate::numerics::robust::{SD_PER_MAD, median};
+use crate::numerics::robust::{SD_PER_MAD, median_size};
 use crate::recording::echo_error::OUT_OF_PLANE;
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::WallGrid;
+use rayon::prelude::*;
 
 /// A wall fitted to echoes.
 #[derive(Debug, Clone)]
@@ -72,7 +73,7 @@ pub(in crate::sweep) trait WallEngine {
 
 /// The radius of the tube that every fit starts from, mm.
 pub(in crate::sweep) fn start_mm(echoes: &[Echo]) -> f64 {
-    median(&mut echoes.iter().map(|e| e.radius_mm).collect::<Vec<_>>())
+    median_size(echoes.par_iter().map(|echo| echo.radius_mm))
 }
 
 impl Wall {

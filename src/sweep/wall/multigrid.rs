@@ -50,7 +50,8 @@ impl<'a> Multigrid<'a> {
         loop {
             let operator = coarser.last().unwrap_or(finest);
             let Some(grid) = coarsened(&operator.grid) else { break };
-            inverses.push(operator.diagonal().iter().map(|d| d.recip()).collect());
+            let diagonal = operator.diagonal();
+            inverses.push(diagonal.into_par_iter().with_min_len(TASK_NODES).map(f64::recip).collect());
             let transfer = Transfer::between(&operator.grid, &grid);
             let mut fewer = vec![0.0; grid.node_count()];
             transfer.restrict(&weights, &mut fewer);

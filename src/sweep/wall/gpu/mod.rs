@@ -17,6 +17,8 @@ use crate::sweep::wall::fit::{Reweighting, Solution, WallEngine};
 use crate::sweep::wall::passes::{CONVERGED, DeviceEcho, Factors, State, WallParameters};
 use crate::sweep::wall::solver::{MAX_STEPS, Solved};
 use rayon::prelude::*;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 /// Largest relative change of the rings' weights and of λ for which the factors of the preconditioner are kept.
 const MAX_CHANGE: f64 = 0.1;
@@ -24,6 +26,9 @@ const MAX_CHANGE: f64 = 0.1;
 /// Steps of conjugate gradients between two tests of convergence on the CPU. Steps after convergence do
 /// nothing.
 const STEPS_PER_SUBMISSION: usize = 10;
+
+/// Echoes or nodes that a thread reads at a time.
+const PIECE: usize = 8192;
 
 /// Indices of the sums are u32, five per node.
 const MAX_NODES: usize = (u32::MAX / 5) as usize;
@@ -34,7 +39,14 @@ type ReadyPass = crate::gpu::ReadyPass<Stage, Items>;
 /// Fits walls on a device.
 pub struct GpuWallEngine {
     runner: Runner<Stage, Items>,
+    /// Device memory of earlier walls, at most [`MOST_KEPT`] workspaces of [`MOST_KEPT_BYTES`] in all.
+    kept: Mutex<Vec<WallWorkspace>>,
 }
+
+/// Most workspaces that an engine keeps for later walls: one for each of a few threads.
+const MOST_KEPT: usize = 4;
+/// Most device memory that an engine keeps for later walls, bytes.
+const MOST_KEPT_BYTES: u64 = 1 << 30;
 
 impl GpuWallEngine {
     /// The engine on the adapter whose name contains `adapter` (without regard to case), or on the best one.
@@ -55,7 +67,7 @@ impl GpuWallEngine {
     }
 
     fn on(context: Context) -> Result<Self> {
-        Ok(Self { runner: Runner::new(context, &PASSES)? })
+        Ok(Self { runner: Runner::new(context, &PASSES)?, kept: Mutex::default() })
     }
 
     /// The adapter, where the engine chose it.
@@ -100,7 +112,23 @@ impl GpuWallEngine {
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where they do not fit the device.
     pub fn prepare(&self, parameters: &WallParameters, echoes: &[DeviceEcho]) -> Result<WallWorkspace> {
-        Ok(WallWorkspace::new(&self.runner.context, &self.runner.passes, parameters, echoes)?)
+        let Runner { context, passes, .. } = &self.runner;
+        let workspace = WallWorkspace::new(context, passes, parameters, echoes.len(), None)?;
+        workspace.write_echoes(context, echoes, |echo| *echo)?;
+        Ok(workspace)
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Vec<WallWorkspace>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps the memory of a wall that is done, and drops the oldest where that is too much.
+    fn keep(&self, workspace: WallWorkspace) {
+        let mut kept = self.kept();
+        kept.push(workspace);
+        while kept.len() > MOST_KEPT || kept.iter().map(WallWorkspace::bytes).sum::<u64>() > MOST_KEPT_BYTES {
+            kept.remove(0);
+        }
     }
 
     /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back, so that a pass
@@ -156,11 +184,18 @@ impl GpuWallEngine {
         }
         let (rings, nodes) = (grid.rings as u32, grid.nodes as u32);
         let parameters = WallParameters::new(rings, nodes, start_mm, OUT_OF_PLANE);
-        let of_device: Vec<DeviceEcho> = echoes.par_iter().map(|e| e.for_device(grid, start_mm)).collect();
-        let start = std::time::Instant::now();
-        let workspace = self.prepare(&parameters, &of_device)?;
+        let Runner { context, passes, .. } = &self.runner;
+        let start = Instant::now();
+        let kept = {
+            let mut kept = self.kept();
+            let place = kept.iter().position(|kept| kept.suits(context, &parameters, echoes.len()));
+            place.map(|place| kept.remove(place))
+        };
+        let workspace = WallWorkspace::new(context, passes, &parameters, echoes.len(), kept)?;
         let memory_s = start.elapsed().as_secs_f64();
-        self.runner.spend(Spent { memory_s, ..Spent::default() });
+        workspace.write_echoes(context, echoes, |echo| echo.for_device(grid, start_mm))?;
+        let filling_s = start.elapsed().as_secs_f64() - memory_s;
+        self.runner.spend(Spent { memory_s, filling_s, ..Spent::default() });
         Ok(OnDevice { engine: self, workspace, grid, echoes, start_mm, factored: None, steps: 0 })
     }
 }
@@ -257,23 +292,45 @@ impl WallEngine for OnDevice<'_> {
     }
 
     fn finish(self) -> Result<Vec<f64>> {
-        let (shifts, residuals) = (self.workspace.of_chunks("shifts"), self.workspace.of_chunks("residuals"));
-        let chunks = self.workspace.chunk_count();
-        let wall = [self.workspace.shared("wall")];
-        let read =
-            self.engine.run(&self.workspace, &[], &[&wall[..], &shifts, &residuals].concat(), |_| ())?;
-        let (shifts, residuals) = read[1..].split_at(chunks);
-        let mut echoes = self.echoes.iter_mut();
-        for ((shifts, residuals), count) in shifts.iter().zip(residuals).zip(self.workspace.echo_counts()) {
-            let shifts: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(shifts);
-            let residuals: Vec<f32> = bytemuck::pod_collect_to_vec(residuals);
-            for ((echo, shift), residual) in echoes.by_ref().take(count).zip(shifts).zip(residuals) {
-                echo.set_residual(shift.map(f64::from), f64::from(residual));
-            }
-        }
-        let wall: Vec<f32> = bytemuck::pod_collect_to_vec(&read[0]);
-        let radii = wall.into_iter().take(self.grid.node_count());
-        Ok(radii.map(|rise| self.start_mm + f64::from(rise)).collect())
+        let Self { engine, workspace, grid, echoes, start_mm, .. } = self;
+        let of_each = |name, bytes: u64| {
+            let buffers = workspace.of_chunks(name).into_iter();
+            buffers.zip(workspace.echo_counts()).map(move |(buffer, count)| (buffer, bytes * count as u64))
+        };
+        let parts: Vec<(&wgpu::Buffer, u64)> =
+            std::iter::once((workspace.shared("wall"), 4 * grid.node_count() as u64))
+                .chain(of_each("shifts", 8))
+                .chain(of_each("residuals", 4))
+                .collect();
+        let job = Job { bytes: workspace.bytes(), rounds: 1 };
+        let radii_mm = engine.runner.run_and_read(
+            job,
+            &parts,
+            |_, _| Ok(()),
+            |views| {
+                let (shifts, residuals) = views[1..].split_at(workspace.chunk_count());
+                let mut left = &mut echoes[..];
+                for ((shifts, residuals), count) in shifts.iter().zip(residuals).zip(workspace.echo_counts())
+                {
+                    let echoes = left.split_off_mut(..count).unwrap_or_default();
+                    let shifts = shifts.par_chunks(8 * PIECE);
+                    let residuals = residuals.par_chunks(4 * PIECE);
+                    echoes.par_chunks_mut(PIECE).zip(shifts).zip(residuals).for_each(|((echoes, s), r)| {
+                        for ((echo, shift), residual) in
+                            echoes.iter_mut().zip(s.chunks_exact(8)).zip(r.chunks_exact(4))
+                        {
+                            let shift: [f32; 2] = bytemuck::pod_read_unaligned(shift);
+                            let residual: f32 = bytemuck::pod_read_unaligned(residual);
+                            echo.set_residual(shift.map(f64::from), f64::from(residual));
+                        }
+                    });
+                }
+                let rise = |bytes| f64::from(bytemuck::pod_read_unaligned::<f32>(bytes));
+                views[0].par_chunks_exact(4).with_min_len(PIECE).map(|bytes| start_mm + rise(bytes)).collect()
+            },
+        )?;
+        engine.keep(workspace);
+        Ok(radii_mm)
     }
 }
 

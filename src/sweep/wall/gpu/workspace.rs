@@ -2,7 +2,7 @@
 
 use super::ReadyPass;
 use super::pass::{Items, Pass};
-use crate::gpu::{Buffers, Context, GpuError, Timer, dispatch_size};
+use crate::gpu::{Buffers, Context, GpuError, Timer, checked, dispatch_size};
 use crate::sweep::wall::passes::{DeviceEcho, State, WallParameters, twiddles};
 use std::collections::BTreeMap;
 
@@ -54,6 +54,27 @@ fn sizes(parameters: &WallParameters) -> Vec<(&'static str, u64)> {
     ]
 }
 
+/// The numbers of echoes of the chunks that a device holds them in. Without echoes there is one empty chunk.
+fn chunks(context: &Context, echoes: usize) -> Vec<u32> {
+    let limits = context.device.limits();
+    let max_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    // No chunk needs more than 2³² of anything.
+    let most = (max_bytes / ECHO_BYTES).clamp(1, u64::from(u32::MAX / 16)) as usize;
+    (0..echoes.max(1)).step_by(most).map(|first| most.min(echoes - first) as u32).collect()
+}
+
+/// Name and size in bytes of the buffers of a chunk.
+fn chunk_sizes(echoes: u32) -> [(&'static str, u64); 4] {
+    let count = u64::from(echoes);
+    let parameters = size_of::<WallParameters>() as u64;
+    [
+        ("parameters", parameters),
+        ("echoes", ECHO_BYTES * count),
+        ("shifts", 8 * count),
+        ("residuals", 4 * count),
+    ]
+}
+
 /// Workgroups of the second stage of a transform: 256 frequencies each.
 fn frequency_groups(parameters: &WallParameters) -> u32 {
     (parameters.rings * (parameters.nodes / 2 + 1)).div_ceil(256)
@@ -64,23 +85,18 @@ impl WallWorkspace {
         context: &Context,
         passes: &[ReadyPass],
         parameters: &WallParameters,
-        echoes: &[DeviceEcho],
+        echoes: usize,
+        kept: Option<Self>,
     ) -> Result<Self, GpuError> {
-        let limits = context.device.limits();
-        let max_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        // No chunk needs more than 2³² of anything.
-        let max_echoes = (max_bytes / ECHO_BYTES).clamp(1, u64::from(u32::MAX / 16)) as usize;
+        let counts = chunks(context, echoes);
+        if let Some(mut kept) = kept.filter(|kept| kept.suits(context, parameters, echoes)) {
+            kept.chunks.iter_mut().zip(counts).for_each(|(chunk, count)| chunk.echoes = count);
+            kept.start(context, parameters)?;
+            return Ok(kept);
+        }
         let buffers = Buffers::new(context, passes, &sizes(parameters))?;
-        let chunk = |echoes: &[DeviceEcho]| {
-            let count = echoes.len() as u64;
-            let parameters_bytes = size_of::<WallParameters>() as u64;
-            let sizes = [
-                ("parameters", parameters_bytes),
-                ("echoes", ECHO_BYTES * count),
-                ("shifts", 8 * count),
-                ("residuals", 4 * count),
-            ];
-            let own = Buffers::new(context, passes, &sizes)?;
+        let chunk = |echoes: u32| {
+            let own = Buffers::new(context, passes, &chunk_sizes(echoes))?;
             let bind_groups = passes
                 .iter()
                 .map(|ready| {
@@ -88,18 +104,48 @@ impl WallWorkspace {
                     Ok((ready.pass.shader.name, ready.pipeline.bind(&context.device, find)?))
                 })
                 .collect::<Result<_, GpuError>>()?;
-            context.write(&own["echoes"], bytemuck::cast_slice(echoes))?;
-            Ok(Chunk { echoes: echoes.len() as u32, buffers: own, bind_groups })
+            Ok(Chunk { echoes, buffers: own, bind_groups })
         };
-        // Without echoes there is one empty chunk.
-        let chunks = match echoes {
-            [] => vec![chunk(&[])?],
-            _ => echoes.chunks(max_echoes).map(chunk).collect::<Result<_, GpuError>>()?,
-        };
+        let chunks = counts.into_iter().map(chunk).collect::<Result<_, GpuError>>()?;
         let mut workspace = Self { parameters: *parameters, buffers, chunks };
-        context.write(workspace.shared("twiddles"), bytemuck::cast_slice(&twiddles(parameters.nodes)))?;
-        workspace.set_parameters(context, parameters)?;
+        workspace.start(context, parameters)?;
         Ok(workspace)
+    }
+
+    /// Whether the memory is of like size as a wall and that many echoes need.
+    pub(super) fn suits(&self, context: &Context, parameters: &WallParameters, echoes: usize) -> bool {
+        let counts = chunks(context, echoes);
+        self.buffers.suit(&sizes(parameters))
+            && self.chunks.len() == counts.len()
+            && self.chunks.iter().zip(counts).all(|(chunk, count)| chunk.buffers.suit(&chunk_sizes(count)))
+    }
+
+    /// The state before the first pass: a tube, and echoes that are their own projections.
+    fn start(&mut self, context: &Context, parameters: &WallParameters) -> Result<(), GpuError> {
+        context.write(self.shared("twiddles"), bytemuck::cast_slice(&twiddles(parameters.nodes)))?;
+        let mut encoder = context.device.create_command_encoder(&Default::default());
+        let zeroed = ["wall", "counts"].map(|name| self.shared(name));
+        for buffer in zeroed.into_iter().chain(self.of_chunks("shifts")) {
+            encoder.clear_buffer(buffer, 0, None);
+        }
+        checked(&context.device, "start of a wall", || context.queue.submit([encoder.finish()]))?;
+        self.set_parameters(context, parameters)
+    }
+
+    /// Writes what each of some items is converted to: as many as there are echoes.
+    pub(super) fn write_echoes<T: Sync>(
+        &self,
+        context: &Context,
+        items: &[T],
+        convert: impl Fn(&T) -> DeviceEcho + Sync,
+    ) -> Result<(), GpuError> {
+        let mut left = items;
+        for chunk in &self.chunks {
+            let (items, others) = left.split_at(chunk.echoes as usize);
+            context.write_converted(&chunk.buffers["echoes"], items, &convert)?;
+            left = others;
+        }
+        Ok(())
     }
 
     /// The parameters of the passes.
