@@ -78,7 +78,8 @@ impl WallEngine for CpuWallEngine<'_> {
             before.zip(after).zip(equations.rows().par_chunks(TASK)).map(of_task).collect();
         let [travel, weight] =
             parts.iter().fold([0.0; 2], |[a, b], [travel, weight]| [a + travel, b + weight]);
-        Ok(Solution { travel_mm: travel / weight.max(f64::MIN_POSITIVE), solved })
+        let residual_mm = self.measure(reweighting.noise_mm, reweighting.project)?;
+        Ok(Solution { travel_mm: travel / weight.max(f64::MIN_POSITIVE), solved, residual_mm })
     }
 
     fn finish(self) -> Result<Vec<f64>> {
