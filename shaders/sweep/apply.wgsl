@@ -26,7 +26,7 @@ fn main(
     if (node < parameters.node_count) {
         let k = node / parameters.nodes;
         let j = node % parameters.nodes;
-        let x = coupled(k, j) + bending(k, j);
+        let x = coupled(finest(), k, j) + bending(finest(), k, j);
         product[node] = x;
         own = direction[node] * x;
     }

@@ -36,7 +36,7 @@ fn main(
         sum(node, 2u, parameters.weight_unit),
         sum(node, 3u, parameters.weight_unit),
     );
-    let gradient = bending(node / parameters.nodes, node % parameters.nodes);
+    let gradient = bending(finest(), node / parameters.nodes, node % parameters.nodes);
     product[node] = sum(node, 4u, parameters.rhs_unit) - gradient * parameters.per_noise;
     change[node] = 0.0;
     direction[node] = 0.0;

@@ -23,5 +23,5 @@ fn main(
         return;
     }
     let of_echoes = mean_of(Wide(sums_low[5u * node + 4u], sums_high[5u * node + 4u]), parameters.rhs_unit, 1u);
-    cg_residual[node] = coupled(node / parameters.nodes, node % parameters.nodes) + of_echoes;
+    cg_residual[node] = coupled(finest(), node / parameters.nodes, node % parameters.nodes) + of_echoes;
 }

@@ -7,11 +7,12 @@
 
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) local: u32) {
-    let count = (parameters.rings * (parameters.nodes / 2u + 1u) + 255u) / 256u;
-    let square = sum_of_partials(count, local);
+    let square = sum_of_partials((parameters.node_count + 255u) / 256u, local);
     if (local == 0u && state.done == 0u) {
-        if (square <= parameters.max_residual_square) {
+        if (square <= state.max_residual_square) {
             state.done = CONVERGED;
+        } else if (square <= MAX_F32 && state.steps >= parameters.max_steps) {
+            state.done = EXHAUSTED;
         } else if (square <= MAX_F32) {
             state.beta = select(0.0, square / state.residual_square, state.residual_square > 0.0);
             state.residual_square = square;

@@ -14,6 +14,9 @@ fn main(
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
+    if (!is_solved(state.done)) {
+        return;
+    }
     atomicStore(&own_counts[local], 0u);
     workgroupBarrier();
     let shift = 24u - 8u * state.digits;

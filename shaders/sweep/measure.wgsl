@@ -1,11 +1,12 @@
 // The residual of every echo, and its new projection onto the wall.
 
 @group(0) @binding(0) var<uniform> parameters: WallParameters;
-@group(0) @binding(1) var<storage, read> echoes: array<Echo>;
-@group(0) @binding(2) var<storage, read> wall: array<f32>;
+@group(0) @binding(1) var<storage, read> state: State;
+@group(0) @binding(2) var<storage, read> echoes: array<Echo>;
+@group(0) @binding(3) var<storage, read> wall: array<f32>;
 // From each echo to its projection, in rings and nodes.
-@group(0) @binding(3) var<storage, read_write> shifts: array<vec2f>;
-@group(0) @binding(4) var<storage, read_write> residuals: array<f32>;
+@group(0) @binding(4) var<storage, read_write> shifts: array<vec2f>;
+@group(0) @binding(5) var<storage, read_write> residuals: array<f32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -14,7 +15,7 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let index = workgroup_index(group, groups) * 256u + local;
-    if (index >= parameters.echoes) {
+    if (!is_solved(state.done) || index >= parameters.echoes) {
         return;
     }
     let echo = echoes[index];

@@ -2,10 +2,11 @@
 // echoes' equations, and these weights: two sums for every workgroup.
 
 @group(0) @binding(0) var<uniform> parameters: WallParameters;
-@group(0) @binding(1) var<storage, read> change: array<f32>;
-@group(0) @binding(2) var<storage, read> rows: array<vec4f>;
-@group(0) @binding(3) var<storage, read_write> wall: array<f32>;
-@group(0) @binding(4) var<storage, read_write> partials: array<f32>;
+@group(0) @binding(1) var<storage, read> state: State;
+@group(0) @binding(2) var<storage, read> change: array<f32>;
+@group(0) @binding(3) var<storage, read> rows: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> wall: array<f32>;
+@group(0) @binding(5) var<storage, read_write> partials: array<f32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -15,7 +16,7 @@ fn main(
 ) {
     let index = workgroup_index(group, groups);
     let node = index * 256u + local;
-    if (index * 256u >= parameters.node_count) {
+    if (!is_solved(state.done) || index * 256u >= parameters.node_count) {
         return;
     }
     var weight = 0.0;

@@ -91,13 +91,55 @@ impl Context {
             Ok(())
         });
         filled.map_err(|error| GpuError::Refused { what: "staging".into(), reason: error.to_string() })?;
+        self.upload(staging, buffer, places.into_iter().zip(parts.iter().map(|part| part.len() as u64)))
+    }
+
+    /// Writes what each of `items` is converted to, to the beginning of a buffer, without a copy of all of it in host
+    /// memory.
+    pub(crate) fn write_converted<T: Sync, U: bytemuck::NoUninit + Send>(
+        &self,
+        buffer: &wgpu::Buffer,
+        items: &[T],
+        convert: impl Fn(&T) -> U + Sync,
+    ) -> Result<(), GpuError> {
+        let bytes = items.len() * size_of::<U>();
+        if bytes < LEAST_STAGED {
+            let converted: Vec<U> = items.iter().map(convert).collect();
+            return self.write(buffer, bytemuck::cast_slice(&converted));
+        }
+        // Each piece begins where a mapping may begin, whatever the size of an item.
+        let count = PIECE / size_of::<U>() / wgpu::MAP_ALIGNMENT as usize * wgpu::MAP_ALIGNMENT as usize;
+        let staging = self.staging(bytes as u64)?;
+        let filled: Result<(), wgpu::MapRangeError> =
+            items.par_chunks(count).enumerate().try_for_each_init(Vec::new, |converted, (piece, items)| {
+                converted.clear();
+                converted.extend(items.iter().map(&convert));
+                let from: &[u8] = bytemuck::cast_slice(converted);
+                let at = (piece * count * size_of::<U>()) as u64;
+                staging
+                    .buffer
+                    .slice(at..at + from.len() as u64)
+                    .get_mapped_range_mut()?
+                    .copy_from_slice(from);
+                Ok(())
+            });
+        filled.map_err(|error| GpuError::Refused { what: "staging".into(), reason: error.to_string() })?;
+        self.upload(staging, buffer, std::iter::once((0, bytes as u64)))
+    }
+
+    /// Copies parts of filled host memory, each given by its place and size, to a buffer, one behind the other.
+    fn upload(
+        &self,
+        staging: Staging,
+        buffer: &wgpu::Buffer,
+        parts: impl Iterator<Item = (u64, u64)>,
+    ) -> Result<(), GpuError> {
         checked(&self.device, "upload", || {
             staging.buffer.unmap();
             staging.mapped.store(false, Ordering::Release);
             let mut encoder = self.device.create_command_encoder(&Default::default());
             let mut to = 0;
-            for (part, place) in parts.iter().zip(places).filter(|(part, _)| !part.is_empty()) {
-                let bytes = part.len() as u64;
+            for (place, bytes) in parts.filter(|(_, bytes)| *bytes > 0) {
                 encoder.copy_buffer_to_buffer(&staging.buffer, place, buffer, to, Some(bytes));
                 to += bytes;
             }

@@ -247,16 +247,18 @@ fn structures_have_the_same_layout() {
         fields!(sweep::passes::DeviceEcho: ring, ring_part, node, node_part, rise, step, normal);
     let echo = (size, flat(fields, "normal", ["normal_x", "normal_y", "normal_z"]));
     let state = fields!(sweep::passes::State: prefix, rank, digits, done, steps, residual_square, alpha,
-        beta);
-    let job = fields!(sweep::passes::WallParameters: rings, nodes, node_count, echoes, project, gated, blocks,
-        block_rings, start, step_theta, per_node, in_plane, noise, per_noise, max_projection, gate, gate_radii,
-        huber, weight_scale, weight_unit, rhs_scale, rhs_unit, along, around, twist, max_residual_square,
-        short_factor, long_factor);
+        beta, max_residual_square);
+    let level = fields!(sweep::passes::Level: rings, nodes, count, first, coarser, along, around, twist);
+    let job = fields!(sweep::passes::WallParameters: rings, nodes, node_count, echoes, project, gated, step,
+        arc, start, step_theta, in_plane, noise, per_noise, max_projection, gate, gate_radii, huber, weight_scale,
+        weight_unit, rhs_scale, rhs_unit, along, around, twist, tolerance_square, max_steps,
+        first_relaxation, second_relaxation);
     for pass in self::sweep() {
         let module = module(pass);
         assert_eq!(layout(&module, "WallParameters"), job, "{}", pass.name);
         assert_eq!(layout(&module, "Echo"), echo, "{}", pass.name);
         assert_eq!(layout(&module, "State"), state, "{}", pass.name);
+        assert_eq!(layout(&module, "Level"), level, "{}", pass.name);
     }
 
     let (size, fields) = layout(&module(row("project")), "Pair");

@@ -5,7 +5,7 @@ use crate::device::{Device, POISON, Readback};
 use crate::nudge::{Nudge, nudges};
 use crate::sections::seeded;
 use lumenmesh::low_level::sweep::gpu::GpuWallEngine;
-use lumenmesh::low_level::sweep::passes::{self, DeviceEcho, Factors, State, WallParameters};
+use lumenmesh::low_level::sweep::passes::{self, DeviceEcho, Level, Matrix, State, WallParameters};
 use rand::RngExt;
 use std::sync::OnceLock;
 
@@ -20,7 +20,7 @@ pub fn device() -> Option<&'static Device<GpuWallEngine>> {
     DEVICE.get_or_init(open).as_ref()
 }
 
-/// Grids about the 64 and 256 invocations of a workgroup and the blocks, one with a prime number of nodes: (rings, nodes).
+/// Grids about the 64 and 256 invocations of a workgroup, one with a prime number of nodes: (rings, nodes).
 const GRIDS: [(u32, u32); 7] = [(3, 8), (8, 9), (15, 64), (16, 67), (17, 100), (64, 256), (150, 130)];
 
 /// A parameters on such a grid, with everything known.
@@ -29,11 +29,12 @@ pub fn parameters(rings: u32, nodes: u32) -> WallParameters {
     WallParameters {
         project: 1,
         gated: 1,
-        max_residual_square: 1e-3,
-        ..WallParameters::new(rings, nodes, 11.0, 0.1)
+        tolerance_square: 1e-3,
+        max_steps: 7,
+        ..WallParameters::new([rings, nodes], [1.2 * arc_mm, arc_mm], 11.0, 0.1)
     }
     .with_noise(0.7)
-    .with_smoothness(31.0, 1.2 * arc_mm, arc_mm)
+    .with_smoothness(31.0)
 }
 
 fn random(count: usize, range: std::ops::Range<f32>, seed: u64) -> Vec<f32> {
@@ -74,6 +75,19 @@ fn bytes<T: bytemuck::Pod>(values: &[T]) -> &[u8] {
     bytemuck::cast_slice(values)
 }
 
+/// The state in which a wall is measured.
+const SOLVED: State = State {
+    prefix: 0,
+    rank: 0,
+    digits: 0,
+    done: passes::CONVERGED,
+    steps: 4,
+    residual_square: 3.0,
+    alpha: 0.37,
+    beta: 0.61,
+    max_residual_square: 0.01,
+};
+
 /// Counts of echoes about the 256 invocations of a workgroup and the 4096 of a block.
 const COUNTS: [usize; 6] = [1, 255, 257, 4095, 4097, 20_000];
 
@@ -85,7 +99,8 @@ fn measure_is_its_twin() {
             let parameters = WallParameters { project, ..parameters(rings, nodes) };
             let (wall, echoes, shifts) = echoes(&parameters, count, u64::from(rings));
             let workspace = device.engine.prepare(&parameters, &echoes).unwrap();
-            let inputs = [("wall", bytes(&wall)), ("shifts", bytes(&shifts))];
+            let state = [SOLVED];
+            let inputs = [("state", bytes(&state)), ("wall", bytes(&wall)), ("shifts", bytes(&shifts))];
             let [residuals, projections] =
                 device.run(&workspace, "measure", &inputs, ["residuals", "shifts"]);
             let (expected, moved): (Vec<f32>, Vec<[f32; 2]>) =
@@ -263,7 +278,7 @@ fn the_median_is_chosen_digit_by_digit() {
         // Many alike, and some far smaller.
         residuals.iter_mut().step_by(3).for_each(|x| *x = 0.25);
         residuals.iter_mut().skip(1).step_by(5).for_each(|x| *x *= 1e-30);
-        let mut state = State { rank: count as u32 / 2, ..State::default() };
+        let mut state = State { rank: count as u32 / 2, ..SOLVED };
         let mut counts = [0; 256];
         for _ in 0..4 {
             let inputs = [
@@ -337,7 +352,7 @@ fn sums(parameters: &WallParameters, seed: u64) -> Vec<[i64; 5]> {
 }
 
 #[test]
-fn assemble_assemble_rhs_and_weigh_rings_are_their_twins() {
+fn assemble_assemble_rhs_and_lump_are_their_twins() {
     let Some(device) = device() else { return };
     for (rings, nodes) in GRIDS {
         let parameters = parameters(rings, nodes);
@@ -363,67 +378,15 @@ fn assemble_assemble_rhs_and_weigh_rings_are_their_twins() {
         }
 
         let inputs = [&inputs[..], &[("rows", bytes(expected.as_flattened()))]].concat();
-        let [aims] = device.run(&workspace, "assemble_rhs", &inputs, ["cg_residual"]);
+        let [aims] = device.run(&workspace, "assemble_rhs", &inputs, ["rights"]);
         let scale = 8.0 * 40.0 * 12.5 * f64::from(parameters.per_noise);
         let aimed = passes::assemble_rhs(&parameters, &sums, &expected, &wall);
-        numbers(&aims, &aimed, Tolerance::of(device.exact, 16.0, scale)).unwrap();
+        numbers(&words(&aims, count), &aimed, Tolerance::of(device.exact, 16.0, scale)).unwrap();
 
-        let [weights] =
-            device.run(&workspace, "weigh_rings", &[("rows", bytes(&expected))], ["ring_weights"]);
-        let sums = passes::weigh_rings(&parameters, &expected);
-        let scale = 200.0 * f64::from(nodes);
-        let words = weights.at(&(0..rings as usize).collect::<Vec<_>>());
-        numbers(&words, &sums, Tolerance::of(device.exact, 16.0, scale)).unwrap();
-    }
-}
-
-#[test]
-fn the_transforms_are_their_twins_and_undo_each_other() {
-    let Some(device) = device() else { return };
-    for (rings, nodes) in GRIDS {
-        let parameters = parameters(rings, nodes);
-        let count = parameters.node_count as usize;
-        let workspace = device.engine.prepare(&parameters, &[]).unwrap();
-        let residual = random(count, -2.0..2.0, 9);
-        let state = [State::default()];
-        let twiddles = passes::twiddles(nodes);
-        // As many products as a factor of N, and then as the other, each at most twice the size of what goes in.
-        let tolerance = |size: f64| Tolerance::of(device.exact, 8.0, f64::from(nodes) * size);
-        let known = ("state", bytes(&state));
-        let [parts] = device.run(
-            &workspace,
-            "hartley_first_residual",
-            &[known, ("cg_residual", bytes(&residual))],
-            ["intermediate"],
-        );
-        let expected = passes::hartley_first(&parameters, &twiddles, &residual);
-        numbers(&parts, expected.as_flattened(), tolerance(2.0)).unwrap();
-        let [spectrum] = device.run(
-            &workspace,
-            "hartley_second_spectrum",
-            &[known, ("intermediate", bytes(&expected))],
-            ["spectrum"],
-        );
-        let expected = passes::hartley_second_spectrum(&parameters, &twiddles, &expected);
-        numbers(&spectrum, &expected, tolerance(4.0)).unwrap();
-
-        let [parts] = device.run(
-            &workspace,
-            "hartley_first_spectrum",
-            &[known, ("spectrum", bytes(&expected))],
-            ["intermediate"],
-        );
-        let size = 3.0 * f64::from(nodes);
-        let expected = passes::hartley_first(&parameters, &twiddles, &expected);
-        numbers(&parts, expected.as_flattened(), tolerance(size)).unwrap();
-        let inputs = [known, ("intermediate", bytes(&expected)), ("cg_residual", bytes(&residual))];
-        let outputs = ["preconditioned", "partials"];
-        let [values, partials] = device.run(&workspace, "hartley_second_values", &inputs, outputs);
-        let (expected, sums) = passes::hartley_second_values(&parameters, &twiddles, &expected, &residual);
-        numbers(&values, &expected, tolerance(3.0)).unwrap();
-        numbers(&words(&partials, sums.len()), &sums, tolerance(512.0 * 6.0)).unwrap();
-        let apart = expected.iter().zip(&residual).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        assert!(apart < 1e-5, "{rings} rings of {nodes}: {apart}");
+        let [own] = device.run(&workspace, "lump", &[("rows", bytes(&expected))], ["own"]);
+        let lumped = passes::lump(&parameters, &expected);
+        let tolerance = Tolerance::of(device.exact, 16.0, 7.0 * 40.0);
+        numbers(&words(&own, 2 * count), lumped.as_flattened(), tolerance).unwrap();
     }
 }
 
@@ -432,54 +395,199 @@ fn words(read: &Readback, count: usize) -> Readback {
     read.at(&(0..count).collect::<Vec<_>>())
 }
 
-/// Factors as of systems that are held well enough for numbers to stay small.
-fn factors(parameters: &WallParameters) -> Factors {
-    let mut factors = Factors::zeroed(parameters);
-    let values = random(factors.rings.len(), -0.3..0.3, 10);
-    factors.rings.copy_from_slice(&values);
-    let values = random(4 * factors.separators.len(), -0.3..0.3, 11);
-    factors.separators.as_flattened_mut().copy_from_slice(&values);
-    factors
+/// A wall's grids, with echoes on all of it but a hole.
+struct Grids {
+    parameters: WallParameters,
+    levels: Vec<Level>,
+    rows: Vec<[f32; 4]>,
+    /// Grid by grid.
+    own: Vec<Vec<[f32; 2]>>,
+}
+
+impl Grids {
+    fn new(rings: u32, nodes: u32) -> Self {
+        let parameters = parameters(rings, nodes);
+        let levels = parameters.levels();
+        let mut sums = sums(&parameters, 13);
+        sums.iter_mut().skip(5).take(40).for_each(|row| *row = [0; 5]);
+        // Couplings are not negative.
+        sums.iter_mut().flatten().for_each(|sum| *sum = sum.abs());
+        let (rows, _) = passes::assemble(&parameters, &sums, &vec![0.0; sums.len()]);
+        let mut own = vec![passes::lump(&parameters, &rows)];
+        for pair in levels.windows(2) {
+            own.push(passes::coarsen(&pair[0], &pair[1], &own[own.len() - 1]));
+        }
+        Self { parameters, levels, rows, own }
+    }
+
+    fn matrix(&self, level: usize) -> Matrix<'_> {
+        Matrix {
+            parameters: &self.parameters,
+            level: &self.levels[level],
+            rows: &self.rows,
+            own: &self.own[level],
+        }
+    }
+
+    /// Numbers for the nodes of all grids.
+    fn random(&self, seed: u64) -> Vec<f32> {
+        random(self.own.iter().map(Vec::len).sum(), -2.0..2.0, seed)
+    }
+
+    /// Those of a grid.
+    fn of<'a>(&self, level: usize, all: &'a [f32]) -> &'a [f32] {
+        let Level { first, count, .. } = self.levels[level];
+        &all[first as usize..(first + count) as usize]
+    }
+}
+
+/// Grids that have many coarser ones and few, whose numbers of rings and nodes are odd and even.
+const MULTIGRIDS: [(u32, u32); 6] = [(3, 8), (8, 9), (17, 100), (64, 256), (151, 65), (700, 16)];
+
+#[test]
+fn the_passes_of_the_multigrid_cycle_are_their_twins() {
+    let Some(device) = device() else { return };
+    for (rings, nodes) in MULTIGRIDS {
+        let grids = Grids::new(rings, nodes);
+        let Grids { parameters, levels, rows, own } = &grids;
+        let workspace = device.engine.prepare(parameters, &[]).unwrap();
+        let [rights, values, others] = [31, 32, 33].map(|seed| grids.random(seed));
+        let all: Vec<f32> = own.iter().flatten().flatten().copied().collect();
+        let state = [State::default()];
+        let known = [
+            ("state", bytes(&state)),
+            ("rows", bytes(rows.as_flattened())),
+            ("own", bytes(&all)),
+            ("rights", bytes(&rights)),
+        ];
+        let with = |more: &[(&'static str, &'static str)]| {
+            let bytes_of = |name: &str| if name == "values" { bytes(&values) } else { bytes(&others) };
+            let more = more.iter().map(|(name, of)| (*name, bytes_of(of)));
+            known.iter().copied().chain(more).collect::<Vec<_>>()
+        };
+        let of_levels =
+            |pass: &dyn Fn(usize) -> Vec<f32>| (0..levels.len()).flat_map(pass).collect::<Vec<f32>>();
+        // Matrices have up to a dozen roundings of numbers as large as their diagonals times two.
+        let largest = own.iter().flatten().fold(0.0_f64, |most, own| most.max(f64::from(own[1]).recip()));
+        let relaxed = Tolerance::of(device.exact, 64.0, 8.0 * largest * f64::from(all[1]).max(1.0));
+        let left = Tolerance::of(device.exact, 64.0, 8.0 * largest);
+
+        let [found] = device.run(&workspace, "remainder", &with(&[("values", "values")]), ["others"]);
+        let of = |l: usize| passes::remainder(&grids.matrix(l), grids.of(l, &rights), grids.of(l, &values));
+        numbers(&found, &of_levels(&of), left).unwrap();
+
+        let [found] = device.run(&workspace, "smooth_zero", &with(&[]), ["others"]);
+        let expected = passes::smooth_zero(parameters, &own[0], grids.of(0, &rights));
+        numbers(&words(&found, expected.len()), &expected, relaxed).unwrap();
+
+        for (pass, input, output) in
+            [("smooth_second", "others", "values"), ("smooth_last_but_one", "values", "others")]
+        {
+            let [found] = device.run(&workspace, pass, &with(&[(input, input)]), [output]);
+            let before = if input == "values" { &values } else { &others };
+            let of = |l: usize| passes::smooth(&grids.matrix(l), grids.of(l, &rights), grids.of(l, before));
+            numbers(&found, &of_levels(&of), relaxed).unwrap();
+        }
+
+        let outputs = ["values", "partials"];
+        let [found, partials] =
+            device.run(&workspace, "smooth_last", &with(&[("others", "others")]), outputs);
+        let of = |l: usize| passes::smooth_last(&grids.matrix(l), grids.of(l, &rights), grids.of(l, &others));
+        numbers(&found, &of_levels(&|l| of(l).0), relaxed).unwrap();
+        let sums = of(0).1;
+        let Tolerance::Roundings(..) = relaxed else {
+            numbers(&words(&partials, sums.len()), &sums, relaxed).unwrap();
+            continue;
+        };
+        let scale = 512.0 * 8.0 * largest;
+        numbers(&words(&partials, sums.len()), &sums, Tolerance::of(false, 64.0, scale)).unwrap();
+    }
 }
 
 #[test]
-fn eliminate_couple_and_substitute_are_their_twins() {
+fn transfers_between_grids_are_their_twins() {
     let Some(device) = device() else { return };
-    for (rings, nodes) in GRIDS.into_iter().chain([(1000, 8)]) {
-        let parameters = parameters(rings, nodes);
-        let workspace = device.engine.prepare(&parameters, &[]).unwrap();
-        let factors = factors(&parameters);
-        let mut spectrum = random(parameters.node_count as usize, -2.0..2.0, 12);
+    for (rings, nodes) in MULTIGRIDS {
+        let grids = Grids::new(rings, nodes);
+        let Grids { parameters, levels, own, .. } = &grids;
+        let workspace = device.engine.prepare(parameters, &[]).unwrap();
+        let count = parameters.node_count as usize;
+        let (rights, others) = (grids.random(34), grids.random(35));
         let state = [State::default()];
-        // Each number is made of a few of the size of at most 4, times factors below one.
-        let tolerance = Tolerance::of(device.exact, 64.0, 8.0);
+        let tolerance = Tolerance::of(device.exact, 32.0, 16.0);
 
-        let known = [("state", bytes(&state)), ("factors", bytes(&factors.rings))];
-        let inputs = [&known[..], &[("spectrum", bytes(&spectrum))]].concat();
-        let [forward, updates] = device.run(&workspace, "eliminate", &inputs, ["spectrum", "updates"]);
-        let before = spectrum.clone();
-        let expected = passes::eliminate(&parameters, &factors, &mut spectrum);
-        numbers(&forward, &spectrum, tolerance).unwrap();
-        numbers(&updates, expected.as_flattened(), tolerance).unwrap();
-        assert!(before != spectrum);
-
-        if parameters.blocks > 1 {
-            let separators = factors.separators.as_flattened();
-            let inputs = [
-                ("state", bytes(&state)),
-                ("separators", bytes(separators)),
-                ("updates", bytes(expected.as_flattened())),
-                ("spectrum", bytes(&spectrum)),
-            ];
-            let [coupled] = device.run(&workspace, "couple", &inputs, ["spectrum"]);
-            passes::couple(&parameters, &factors, &expected, &mut spectrum);
-            numbers(&coupled, &spectrum, tolerance).unwrap();
+        let all: Vec<f32> = own.iter().flatten().flatten().copied().collect();
+        let inputs = [
+            ("state", bytes(&state)),
+            ("own", bytes(&all)),
+            ("rights", bytes(&rights)),
+            ("others", bytes(&others)),
+        ];
+        // Grid by grid, the finest first: what is left on a grid has been written to by the one before.
+        let [found, relaxed] = device.run(&workspace, "restrict", &inputs, ["rights", "others"]);
+        let (mut expected, mut others_expected) = (rights[..count].to_vec(), others[..count].to_vec());
+        for l in 1..levels.len() {
+            let left = grids.of(l - 1, &others_expected);
+            let (right, relaxed) = passes::restrict(parameters, &levels[l - 1], &levels[l], &own[l], left);
+            expected.extend(right);
+            others_expected.extend(relaxed);
         }
+        numbers(&found, &expected, tolerance).unwrap();
+        numbers(&relaxed, &others_expected, tolerance).unwrap();
 
-        let inputs = [&known[..], &[("spectrum", bytes(&spectrum))]].concat();
-        let [back] = device.run(&workspace, "substitute", &inputs, ["spectrum"]);
-        passes::substitute(&parameters, &factors, &mut spectrum);
-        numbers(&back, &spectrum, tolerance).unwrap();
+        // Grid by grid, the finest first: every grid gets the values that the next one had before.
+        let inputs = [("state", bytes(&state)), ("values", bytes(&others))];
+        let [found] = device.run(&workspace, "prolong", &inputs, ["values"]);
+        let mut expected = Vec::new();
+        for l in 0..levels.len() - 1 {
+            let mut values = grids.of(l, &others).to_vec();
+            passes::prolong(&levels[l], &levels[l + 1], grids.of(l + 1, &others), &mut values);
+            expected.extend(values);
+        }
+        numbers(&words(&found, expected.len()), &expected, tolerance).unwrap();
+
+        // Weights sum up from grid to grid.
+        let first: Vec<f32> = own[0].as_flattened().to_vec();
+        let [found] = device.run(&workspace, "coarsen", &[("own", bytes(&first))], ["own"]);
+        let expected: Vec<f32> = own.iter().flatten().flatten().copied().collect();
+        let all = own[0].iter().map(|own| f64::from(own[0])).sum::<f64>();
+        numbers(&found, &expected, Tolerance::of(device.exact, 64.0, all)).unwrap();
+        let coarsest = own[own.len() - 1].iter().map(|own| f64::from(own[0])).sum::<f64>();
+        assert!((coarsest - all).abs() < 1e-5 * all, "{rings} x {nodes}: {coarsest} of {all}");
+    }
+}
+
+#[test]
+fn the_cycle_of_one_workgroup_is_its_twin() {
+    let Some(device) = device() else { return };
+    for (rings, nodes) in MULTIGRIDS {
+        let grids = Grids::new(rings, nodes);
+        let Grids { parameters, levels, own, .. } = &grids;
+        let workspace = device.engine.prepare(parameters, &[]).unwrap();
+        // The pass runs on the first grid that the workspace leaves to one workgroup.
+        let first = workspace.large_levels();
+        let (rights, others) = (grids.random(36), grids.random(37));
+        let all: Vec<f32> = own.iter().flatten().flatten().copied().collect();
+        let state = [State::default()];
+        let inputs = [
+            ("state", bytes(&state)),
+            ("own", bytes(&all)),
+            ("rights", bytes(&rights)),
+            ("others", bytes(&others)),
+        ];
+        let [found] = device.run(&workspace, "coarse_cycle", &inputs, ["values"]);
+        let of_each: Vec<&[[f32; 2]]> = own[first..].iter().map(|own| &own[..]).collect();
+        let expected = passes::coarse_cycle(
+            parameters,
+            &levels[first..],
+            &of_each,
+            grids.of(first, &rights),
+            grids.of(first, &others),
+        );
+        let Level { first, count, .. } = levels[first];
+        let places: Vec<usize> = (first as usize..(first + count) as usize).collect();
+        let size = expected.iter().fold(0.0_f64, |most, x| most.max(f64::from(x.abs())));
+        numbers(&found.at(&places), &expected, Tolerance::of(device.exact, 4096.0, size)).unwrap();
     }
 }
 
@@ -518,8 +626,7 @@ fn the_steps_of_conjugate_gradients_are_their_twins() {
         let begun = State { residual_square: 3.0, alpha: 0.37, beta: 0.61, steps: 4, ..State::default() };
         let tolerance = Tolerance::of(device.exact, 4.0, 4.0);
 
-        let inputs =
-            [("state", bytemuck::bytes_of(&begun)), ("preconditioned", bytes(&a)), ("direction", bytes(&b))];
+        let inputs = [("state", bytemuck::bytes_of(&begun)), ("values", bytes(&a)), ("direction", bytes(&b))];
         let [direction] = device.run(&workspace, "cg_direction", &inputs, ["direction"]);
         let mut expected = b.clone();
         passes::cg_direction(&begun, &a, &mut expected);
@@ -530,16 +637,18 @@ fn the_steps_of_conjugate_gradients_are_their_twins() {
             ("direction", bytes(&a)),
             ("product", bytes(&b)),
             ("change", bytes(&c)),
-            ("cg_residual", bytes(&d)),
+            ("rights", bytes(&d)),
         ];
-        let [change, residual] = device.run(&workspace, "cg_step", &inputs, ["change", "cg_residual"]);
+        let [change, residual] = device.run(&workspace, "cg_step", &inputs, ["change", "rights"]);
         let (mut x, mut left) = (c.clone(), d.clone());
         passes::cg_step(&begun, &a, &b, &mut x, &mut left);
         numbers(&change, &x, tolerance).unwrap();
-        numbers(&residual, &left, tolerance).unwrap();
+        numbers(&words(&residual, count), &left, tolerance).unwrap();
 
+        let solved = [SOLVED];
         let rows: Vec<[f32; 4]> = c.iter().map(|&x| [x.abs(), f32::NAN, f32::NAN, f32::NAN]).collect();
-        let inputs = [("change", bytes(&a)), ("rows", bytes(&rows)), ("wall", bytes(&b))];
+        let inputs =
+            [("state", bytes(&solved)), ("change", bytes(&a)), ("rows", bytes(&rows)), ("wall", bytes(&b))];
         let [wall, ways] = device.run(&workspace, "move_wall", &inputs, ["wall", "partials"]);
         let mut expected = b.clone();
         let sums = passes::move_wall(&parameters, &a, &rows, &mut expected);
@@ -560,21 +669,21 @@ fn same_state(device: &Device<GpuWallEngine>, found: &Readback, expected: State)
         (found.residual_square, expected.residual_square),
         (found.alpha, expected.alpha),
         (found.beta, expected.beta),
+        (found.max_residual_square, expected.max_residual_square),
     ] {
         assert!((a - b).abs() <= 1e-5 * (1.0 + b.abs()), "{a} {b}");
     }
 }
 
 #[test]
-fn cg_beta_and_cg_alpha_decide_as_their_twins() {
+fn cg_limit_cg_beta_and_cg_alpha_decide_as_their_twins() {
     let Some(device) = device() else { return };
     for (rings, nodes) in GRIDS.into_iter().chain([(4000, 512)]) {
         let parameters = parameters(rings, nodes);
         let workspace = device.engine.prepare(&parameters, &[]).unwrap();
-        let joined = (rings as usize * (nodes as usize / 2 + 1)).div_ceil(256);
         let blocks = (parameters.node_count as usize).div_ceil(256);
-        let begun = State { residual_square: 3.0, steps: 4, ..State::default() };
-        // Above and below what is enough, no numbers, the first step, and once it is done.
+        let begun = State { residual_square: 3.0, steps: 4, max_residual_square: 1e-3, ..State::default() };
+        // Above and below what is enough, no numbers, the first step, the last one, and once it is done.
         for (low, high, state) in [
             (0.0, 2.0, begun),
             (-1e-9, 1e-9, begun),
@@ -582,6 +691,7 @@ fn cg_beta_and_cg_alpha_decide_as_their_twins() {
             (f32::NAN, 0.0, begun),
             (f32::MAX, f32::INFINITY, begun),
             (0.0, 2.0, State::default()),
+            (0.0, 2.0, State { steps: 7, ..begun }),
             (0.0, 2.0, State { done: 1, ..begun }),
         ] {
             let partials = |count| match low.is_nan() || high.is_infinite() {
@@ -589,13 +699,20 @@ fn cg_beta_and_cg_alpha_decide_as_their_twins() {
                 false => random(count, low..high, 19),
             };
             let finite = low.is_finite() && high.is_finite();
-            for (pass, partials) in [("cg_beta", partials(joined)), ("cg_alpha", partials(blocks))] {
+            for (pass, partials) in ["cg_limit", "cg_beta", "cg_alpha"].map(|pass| (pass, partials(blocks))) {
+                if pass == "cg_limit" && !finite {
+                    continue;
+                }
                 let inputs = [("partials", bytes(&partials)), ("state", bytemuck::bytes_of(&state))];
                 let [found] = device.run(&workspace, pass, &inputs, ["state"]);
                 let mut expected = state;
                 match pass {
+                    "cg_limit" => passes::cg_limit(&parameters, &partials, &mut expected),
                     "cg_beta" => passes::cg_beta(&parameters, &partials, &mut expected),
                     _ => passes::cg_alpha(&partials, &mut expected),
+                }
+                if pass == "cg_beta" && state.steps == 7 {
+                    assert_eq!(expected.done, passes::EXHAUSTED);
                 }
                 if state.done == 0 && (!finite || (pass == "cg_alpha" && high < 0.0)) {
                     assert_eq!(expected.done, passes::BROKEN, "{pass} from {low} to {high}");
@@ -617,22 +734,47 @@ fn nothing_moves_once_the_solver_is_done() {
     let done = [State { done: 1, residual_square: 1.0, alpha: 1.0, beta: 1.0, ..State::default() }];
     let ones = vec![1.0_f32; parameters.node_count as usize];
     for (pass, output) in [
-        ("hartley_first_residual", "intermediate"),
-        ("hartley_second_spectrum", "spectrum"),
-        ("eliminate", "updates"),
-        ("couple", "spectrum"),
-        ("substitute", "spectrum"),
-        ("hartley_first_spectrum", "intermediate"),
-        ("hartley_second_values", "preconditioned"),
+        ("smooth_zero", "others"),
+        ("smooth_second", "values"),
+        ("remainder", "others"),
+        ("restrict", "rights"),
+        ("coarse_cycle", "values"),
+        ("prolong", "values"),
+        ("smooth_last_but_one", "others"),
+        ("smooth_last", "values"),
         ("cg_direction", "direction"),
         ("apply", "product"),
         ("cg_step", "change"),
     ] {
-        let names = ["spectrum", "preconditioned", "direction", "cg_residual", "product", "change"];
+        let names = ["values", "others", "direction", "rights", "product", "change"];
         let mut inputs = vec![("state", bytes(&done))];
         inputs.extend(names.iter().map(|&name| (name, bytes(&ones))));
         let [read] = device.run(&workspace, pass, &inputs, [output]);
         assert_eq!(read.words, read.before, "{pass}");
+    }
+}
+
+#[test]
+fn no_wall_moves_and_nothing_is_measured_before_the_solver_is_done() {
+    let Some(device) = device() else { return };
+    let parameters = parameters(17, 100);
+    let (wall, echoes, shifts) = echoes(&parameters, 300, 5);
+    let workspace = device.engine.prepare(&parameters, &echoes).unwrap();
+    let ones = vec![1.0_f32; 4 * parameters.node_count as usize];
+    for done in [0, passes::BROKEN] {
+        let state = [State { done, ..SOLVED }];
+        for (pass, output) in [("move_wall", "wall"), ("measure", "shifts"), ("count_residuals", "counts")] {
+            let inputs = [
+                ("state", bytes(&state)),
+                ("change", bytes(&ones[..wall.len()])),
+                ("rows", bytes(&ones)),
+                ("wall", bytes(&wall)),
+                ("shifts", bytes(&shifts)),
+                ("residuals", bytes(&ones[..300])),
+            ];
+            let [read] = device.run(&workspace, pass, &inputs, [output]);
+            assert_eq!(read.words, read.before, "{pass}");
+        }
     }
 }
 
@@ -644,8 +786,9 @@ fn data_of_the_cpu_passed_as_the_device_s_fail() {
     let workspace = device.engine.prepare(&parameters, &[]).unwrap();
     let of_cpu = random(parameters.node_count as usize, -2.0..2.0, 20);
     let done = State { done: 1, ..State::default() };
-    let inputs = [("cg_residual", bytes(&of_cpu)), ("state", bytemuck::bytes_of(&done))];
-    let [residual] = device.run(&workspace, "cg_step", &inputs, ["cg_residual"]);
+    let inputs = [("rights", bytes(&of_cpu)), ("state", bytemuck::bytes_of(&done))];
+    let [residual] = device.run(&workspace, "cg_step", &inputs, ["rights"]);
+    let residual = words(&residual, of_cpu.len());
     assert_eq!(residual.numbers(), of_cpu);
     assert!(numbers(&residual, &of_cpu, Tolerance::Bits).unwrap_err().contains("did not write"));
 }

@@ -9,14 +9,13 @@ struct WallParameters {
     // 1 where projections are moved, and where far echoes are left out.
     project: u32,
     gated: u32,
-    // Blocks that the rings are cut into, and the rings of each but the last.
-    blocks: u32,
-    block_rings: u32,
+    // Distances of rings, and of nodes on a tube of the median radius, mm.
+    step: f32,
+    arc: f32,
     // Radius from which those of the wall and of the echoes are measured, mm.
     start: f32,
-    // 2π/N, rad, and 1/N.
+    // 2π/N, rad.
     step_theta: f32,
-    per_node: f32,
     // Share of the noise's variance that lies within the image planes only.
     in_plane: f32,
     noise: f32,
@@ -35,11 +34,42 @@ struct WallParameters {
     along: f32,
     around: f32,
     twist: f32,
-    // Square of the residual at which the solver stops.
-    max_residual_square: f32,
-    // Factors of N for the two stages of a transform.
-    short_factor: u32,
-    long_factor: u32,
+    // Square of the share of the right-hand side at which the solver stops, and its largest number of steps.
+    tolerance_square: f32,
+    max_steps: u32,
+    // Weights of the relaxations of a grid: of the first and the last, and of those between. A driver would regroup
+    // products with constants.
+    first_relaxation: f32,
+    second_relaxation: f32,
+}
+
+// A grid of the multigrid cycle, the finest first.
+struct Level {
+    rings: u32,
+    nodes: u32,
+    count: u32,
+    // Its first node in the buffers that hold the nodes of all grids.
+    first: u32,
+    // The number of coarser grids.
+    coarser: u32,
+    // λ times the bending along the axis, about it, and the twist, per node.
+    along: f32,
+    around: f32,
+    // A binding may begin at every 256 bytes.
+    @size(228) twist: f32,
+}
+
+fn finest() -> Level {
+    return Level(
+        parameters.rings,
+        parameters.nodes,
+        parameters.node_count,
+        0u,
+        0u,
+        parameters.along,
+        parameters.around,
+        parameters.twist,
+    );
 }
 
 struct Echo {
@@ -59,9 +89,10 @@ struct Echo {
     normal_z: f32,
 }
 
-// State.done: the residual is small enough, or the equations are not positive definite or not finite.
+// State.done: the residual is small enough, the equations are not positive definite or not finite, or the steps ran out.
 const CONVERGED = 1u;
 const BROKEN = 2u;
+const EXHAUSTED = 3u;
 // The largest number of f32.
 const MAX_F32 = 3.4028234e38;
 
@@ -72,7 +103,7 @@ struct State {
     prefix: u32,
     rank: u32,
     digits: u32,
-    // How conjugate gradients ended (0 while they go on, CONVERGED or BROKEN), and the number of their steps.
+    // How conjugate gradients ended (0 while they go on, CONVERGED, BROKEN or EXHAUSTED), and the number of their steps.
     done: u32,
     steps: u32,
     // Square of the residual in the preconditioner's norm, length of a step, and share of the last direction
@@ -80,4 +111,11 @@ struct State {
     residual_square: f32,
     alpha: f32,
     beta: f32,
+    // Square of the residual at which they end.
+    max_residual_square: f32,
+}
+
+// Whether there is a solution to go on with.
+fn is_solved(done: u32) -> bool {
+    return done == CONVERGED || done == EXHAUSTED;
 }

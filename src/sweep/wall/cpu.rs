@@ -67,11 +67,19 @@ impl WallEngine for CpuWallEngine<'_> {
         let before = radii_mm.clone();
         let system = System::plain(&equations, reweighting.smoothness_mm2);
         let solved = solve(self.grid, &system, reweighting.tolerance, MAX_STEPS, radii_mm)?;
-        let travels = before.iter().zip(&*radii_mm).map(|(a, b)| (a - b).abs());
-        let [travel, weight] = travels
-            .zip(equations.rows())
-            .fold([0.0; 2], |[travel, weight], (t, row)| [travel + row[0] * t, weight + row[0]]);
-        Ok(Solution { travel_mm: travel / weight.max(f64::MIN_POSITIVE), solved })
+        let of_task = |((before, after), rows): ((&[f64], &[f64]), &[[f64; 5]])| {
+            let travels = before.iter().zip(after).map(|(a, b)| (a - b).abs());
+            travels
+                .zip(rows)
+                .fold([0.0; 2], |[travel, weight], (t, row)| [travel + row[0] * t, weight + row[0]])
+        };
+        let (before, after) = (before.par_chunks(TASK), radii_mm.par_chunks(TASK));
+        let parts: Vec<[f64; 2]> =
+            before.zip(after).zip(equations.rows().par_chunks(TASK)).map(of_task).collect();
+        let [travel, weight] =
+            parts.iter().fold([0.0; 2], |[a, b], [travel, weight]| [a + travel, b + weight]);
+        let residual_mm = self.measure(reweighting.noise_mm, reweighting.project)?;
+        Ok(Solution { travel_mm: travel / weight.max(f64::MIN_POSITIVE), solved, residual_mm })
     }
 
     fn finish(self) -> Result<Vec<f64>> {

@@ -3,10 +3,11 @@
 use super::residual::ResidualModel;
 use super::solver::Solved;
 use crate::Result;
-use crate::numerics::robust::{SD_PER_MAD, median};
+use crate::numerics::robust::{SD_PER_MAD, median_size};
 use crate::recording::echo_error::OUT_OF_PLANE;
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::WallGrid;
+use rayon::prelude::*;
 
 /// A wall fitted to echoes.
 #[derive(Debug, Clone)]
@@ -46,6 +47,8 @@ pub(in crate::sweep) struct Reweighting {
     pub warm_up: bool,
     /// Share of the radius to which the equations are to be solved.
     pub tolerance: f64,
+    /// Whether projections move when the residuals from the new wall are evaluated.
+    pub project: bool,
 }
 
 /// The result of one reweighting.
@@ -55,6 +58,8 @@ pub(in crate::sweep) struct Solution {
     /// nothing was measured must not keep the fit going.
     pub travel_mm: f64,
     pub solved: Solved,
+    /// Median of |residual| from the new wall, mm.
+    pub residual_mm: f64,
 }
 
 /// A wall, initially a tube of the radius [`start_mm`], and the echoes about it.
@@ -63,7 +68,8 @@ pub(in crate::sweep) trait WallEngine {
     /// `noise_mm` explains; returns the median of |residual|, mm.
     fn measure(&mut self, noise_mm: f64, project: bool) -> Result<f64>;
 
-    /// Solves for the wall under the current weights of the echoes.
+    /// Solves for the wall under the current weights of the echoes, and measures it as [`WallEngine::measure`] does: a
+    /// device answers both at once.
     fn solve(&mut self, reweighting: &Reweighting) -> Result<Solution>;
 
     /// The nodes' radii, mm; the echoes then have their last projections and residuals.
@@ -72,7 +78,7 @@ pub(in crate::sweep) trait WallEngine {
 
 /// The radius of the tube that every fit starts from, mm.
 pub(in crate::sweep) fn start_mm(echoes: &[Echo]) -> f64 {
-    median(&mut echoes.iter().map(|e| e.radius_mm).collect::<Vec<_>>())
+    median_size(echoes.par_iter().map(|echo| echo.radius_mm))
 }
 
 impl Wall {
@@ -111,9 +117,10 @@ pub(super) fn reweighted(
     mut wall: Wall,
 ) -> Result<Wall> {
     let first = wall.iterations;
+    let is_warm_up = |iteration: usize| iteration < WARM_UP_ITERATIONS;
+    let mut residual_mm = engine.measure(wall.noise_mm, !is_warm_up(first))?;
     for iteration in first..first + MAX_ITERATIONS {
-        let warm_up = iteration < WARM_UP_ITERATIONS;
-        let residual_mm = engine.measure(wall.noise_mm, !warm_up)?;
+        let warm_up = is_warm_up(iteration);
         wall.noise_mm = grid.smoothed_noise_mm(SD_PER_MAD * residual_mm, roughness);
         wall.smoothness_mm2 = (wall.noise_mm / roughness).powi(2);
         let solution = engine.solve(&Reweighting {
@@ -121,7 +128,9 @@ pub(super) fn reweighted(
             smoothness_mm2: wall.smoothness_mm2,
             warm_up,
             tolerance: (SOLVED_NOISE_SHARE * wall.noise_mm / start_mm).max(SOLVED_RADII),
+            project: !is_warm_up(iteration + 1),
         })?;
+        residual_mm = solution.residual_mm;
         wall.solver_steps += solution.solved.steps;
         wall.iterations = iteration + 1;
         let enough_mm = (ENOUGH_RADII * start_mm).max(ENOUGH_NOISE_SHARE * wall.noise_mm);
@@ -131,7 +140,7 @@ pub(super) fn reweighted(
             break;
         }
     }
-    wall.noise_mm = SD_PER_MAD * engine.measure(wall.noise_mm, true)?;
+    wall.noise_mm = SD_PER_MAD * residual_mm;
     wall.radii_mm = engine.finish()?;
     Ok(wall)
 }

@@ -12,7 +12,5 @@ mod multigrid;
 mod on_device;
 pub(in crate::sweep) mod operator;
 pub mod passes;
-#[cfg(feature = "gpu")]
-mod preconditioner;
 pub(in crate::sweep) mod residual;
 pub(in crate::sweep) mod solver;

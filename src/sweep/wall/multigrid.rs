@@ -18,7 +18,7 @@ const MAX_ASPECT: f64 = 1.5;
 /// Weights of the two relaxations before the correction by the coarser grid; after it they come in the other order, so that
 /// the cycle is symmetric. They are the inverse roots of the Chebyshev polynomial of the interval from 0.5 to 4, which no
 /// eigenvalue of the matrix exceeds once its diagonal is scaled to one: it is a sum of squares of at most four values.
-const RELAXATIONS: [f64; 2] = [0.286_743, 0.987_578];
+pub(super) const RELAXATIONS: [f64; 2] = [0.286_743, 0.987_578];
 /// Added to the diagonal of the coarsest grid, in units of the largest one, so that a wall without echoes has a solution.
 const FLOOR: f64 = 1e-12;
 /// Nodes per parallel task of a transfer between grids.
@@ -49,8 +49,12 @@ impl<'a> Multigrid<'a> {
         let mut weights = finest.lumped_weights();
         loop {
             let operator = coarser.last().unwrap_or(finest);
-            let Some(grid) = coarsened(&operator.grid) else { break };
-            inverses.push(operator.diagonal().iter().map(|d| d.recip()).collect());
+            if operator.grid.nodes <= COARSEST_NODES {
+                break;
+            }
+            let grid = coarsened(&operator.grid);
+            let diagonal = operator.diagonal();
+            inverses.push(diagonal.into_par_iter().with_min_len(TASK_NODES).map(f64::recip).collect());
             let transfer = Transfer::between(&operator.grid, &grid);
             let mut fewer = vec![0.0; grid.node_count()];
             transfer.restrict(&weights, &mut fewer);
@@ -103,14 +107,11 @@ impl<'a> Multigrid<'a> {
     }
 }
 
-/// The next coarser grid over the same wall.
-fn coarsened(grid: &WallGrid) -> Option<WallGrid> {
+/// The next coarser grid over the same wall. A ring of one node has nothing about the axis.
+pub(super) fn coarsened(grid: &WallGrid) -> WallGrid {
     let WallGrid { rings, nodes, step_mm, arc_mm } = *grid;
-    if nodes <= COARSEST_NODES {
-        return None;
-    }
-    let fewer_rings = rings > 3 && step_mm < MAX_ASPECT * arc_mm;
-    let fewer_nodes = !fewer_rings || arc_mm < MAX_ASPECT * step_mm;
+    let fewer_rings = rings > 3 && (nodes == 1 || step_mm < MAX_ASPECT * arc_mm);
+    let fewer_nodes = nodes > 1 && (!fewer_rings || arc_mm < MAX_ASPECT * step_mm);
     let (new_rings, new_nodes) = (
         if fewer_rings { (rings - 1).div_ceil(2) + 1 } else { rings },
         if fewer_nodes { nodes.div_ceil(2) } else { nodes },
@@ -119,12 +120,7 @@ fn coarsened(grid: &WallGrid) -> Option<WallGrid> {
         true => step_mm,
         false => step_mm * (rings - 1) as f64 / (new_rings - 1) as f64,
     };
-    Some(WallGrid {
-        rings: new_rings,
-        nodes: new_nodes,
-        step_mm,
-        arc_mm: arc_mm * nodes as f64 / new_nodes as f64,
-    })
+    WallGrid { rings: new_rings, nodes: new_nodes, step_mm, arc_mm: arc_mm * nodes as f64 / new_nodes as f64 }
 }
 
 /// The factors of a grid with few nodes per ring, with these weights of the echoes at its nodes.
@@ -294,7 +290,7 @@ mod tests {
             [(40, 24, 1.0, (21, 12)), (41, 65, 0.5, (21, 65)), (9, 90, 3.0, (9, 45)), (3, 32, 0.2, (3, 16))]
         {
             let grid = WallGrid { rings, nodes, step_mm, arc_mm: 1.0 };
-            let coarse = coarsened(&grid).unwrap();
+            let coarse = coarsened(&grid);
             assert_eq!((coarse.rings, coarse.nodes), fewer);
             let length = |grid: &WallGrid| (grid.rings - 1) as f64 * grid.step_mm;
             assert!((length(&coarse) - length(&grid)).abs() < 1e-12);
@@ -311,6 +307,5 @@ mod tests {
             let [a, b] = [&sums, &expected].map(|x| x.iter().sum::<f64>());
             assert!((a - b).abs() < 1e-9 * b, "{a} {b}");
         }
-        assert!(coarsened(&WallGrid { rings: 100, nodes: 12, step_mm: 1.0, arc_mm: 1.0 }).is_none());
     }
 }

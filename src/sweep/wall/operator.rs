@@ -130,11 +130,12 @@ impl Operator {
     pub(in crate::sweep) fn diagonal(&self) -> Vec<f64> {
         let nodes = self.grid.nodes;
         let mut diagonal = self.own.clone();
-        for (k, ring) in diagonal.chunks_exact_mut(nodes).enumerate() {
+        let tasks = diagonal.par_chunks_exact_mut(nodes).with_min_len(TASK_NODES.div_ceil(nodes));
+        tasks.enumerate().for_each(|(k, ring)| {
             let [below, here, above] = [k.checked_sub(1), Some(k), Some(k + 1)].map(|k| self.bending_of(k));
             let bending = below[0] + 4.0 * here[0] + above[0] + 6.0 * here[1] + 2.0 * (here[2] + below[2]);
             ring.iter_mut().for_each(|own| *own += bending);
-        }
+        });
         diagonal
     }
 

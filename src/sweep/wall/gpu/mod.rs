@@ -8,22 +8,23 @@ pub use workspace::WallWorkspace;
 
 use crate::Result;
 use crate::engine::EngineDescription;
-use crate::gpu::{AdapterDescription, Context, GpuError, Job, PassTimes, Runner, Spent};
-use crate::numerics::banded::Dissected;
+use crate::gpu::{AdapterDescription, Context, GpuError, Job, PassTimes, Runner, Spent, Timer};
 use crate::recording::echo_error::OUT_OF_PLANE;
 use crate::sweep::prepare::{echo, grid::WallGrid};
-use crate::sweep::wall::bending::LocalSmoothness;
 use crate::sweep::wall::fit::{Reweighting, Solution, WallEngine};
-use crate::sweep::wall::passes::{CONVERGED, DeviceEcho, Factors, State, WallParameters};
+use crate::sweep::wall::passes::{CONVERGED, DeviceEcho, State, WallParameters};
 use crate::sweep::wall::solver::{MAX_STEPS, Solved};
 use rayon::prelude::*;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
-/// Largest relative change of the rings' weights and of λ for which the factors of the preconditioner are kept.
-const MAX_CHANGE: f64 = 0.1;
+/// Steps of conjugate gradients that are submitted at once: where nothing is known of how many it takes, and at most. Steps
+/// after convergence do nothing, but cost a few microseconds for each of their passes.
+const USUAL_STEPS: usize = 10;
+const MOST_STEPS: usize = 32;
 
-/// Steps of conjugate gradients between two tests of convergence on the CPU. Steps after convergence do
-/// nothing.
-const STEPS_PER_SUBMISSION: usize = 10;
+/// Echoes or nodes that a thread reads at a time.
+const PIECE: usize = 8192;
 
 /// Indices of the sums are u32, five per node.
 const MAX_NODES: usize = (u32::MAX / 5) as usize;
@@ -34,7 +35,14 @@ type ReadyPass = crate::gpu::ReadyPass<Stage, Items>;
 /// Fits walls on a device.
 pub struct GpuWallEngine {
     runner: Runner<Stage, Items>,
+    /// Device memory of earlier walls, at most [`MOST_KEPT`] workspaces of [`MOST_KEPT_BYTES`] in all.
+    kept: Mutex<Vec<WallWorkspace>>,
 }
+
+/// Most workspaces that an engine keeps for later walls: one for each of a few threads.
+const MOST_KEPT: usize = 4;
+/// Most device memory that an engine keeps for later walls, bytes.
+const MOST_KEPT_BYTES: u64 = 1 << 30;
 
 impl GpuWallEngine {
     /// The engine on the adapter whose name contains `adapter` (without regard to case), or on the best one.
@@ -55,7 +63,7 @@ impl GpuWallEngine {
     }
 
     fn on(context: Context) -> Result<Self> {
-        Ok(Self { runner: Runner::new(context, &PASSES)? })
+        Ok(Self { runner: Runner::new(context, &PASSES)?, kept: Mutex::default() })
     }
 
     /// The adapter, where the engine chose it.
@@ -100,12 +108,28 @@ impl GpuWallEngine {
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) where they do not fit the device.
     pub fn prepare(&self, parameters: &WallParameters, echoes: &[DeviceEcho]) -> Result<WallWorkspace> {
-        Ok(WallWorkspace::new(&self.runner.context, &self.runner.passes, parameters, echoes)?)
+        let Runner { context, passes, .. } = &self.runner;
+        let workspace = WallWorkspace::new(context, passes, parameters, echoes.len(), None)?;
+        workspace.write_echoes(context, echoes, |echo| *echo)?;
+        Ok(workspace)
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Vec<WallWorkspace>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps the memory of a wall that is done, and drops the oldest where that is too much.
+    fn keep(&self, workspace: WallWorkspace) {
+        let mut kept = self.kept();
+        kept.push(workspace);
+        while kept.len() > MOST_KEPT || kept.iter().map(WallWorkspace::bytes).sum::<u64>() > MOST_KEPT_BYTES {
+            kept.remove(0);
+        }
     }
 
     /// Runs one pass of a workspace alone on given buffer contents, and reads buffers back, so that a pass
-    /// can be compared with its twin on identical inputs. Of buffers that every chunk has, the first chunk's
-    /// are meant.
+    /// can be compared with its twin on identical inputs. A pass over the grids of the multigrid cycle runs on each of
+    /// them, the finest first. Of buffers that every chunk has, the first chunk's are meant.
     ///
     /// Bytes of an output that the pass does not write, and that is no input, are 0x5a.
     ///
@@ -120,27 +144,20 @@ impl GpuWallEngine {
     ) -> Result<Vec<Vec<u8>>> {
         let find = |name: &str| workspace.find(name);
         let read = self.runner.run_pass(pass, inputs, outputs, workspace.bytes(), find, |ready, encoder| {
-            workspace.record(&self.runner.context, [ready], encoder, &mut |_| None)
+            let levels = workspace.levels_of(ready.pass.items);
+            let passes = levels.map(|level| (ready, level));
+            workspace.record(&self.runner.context, passes, encoder, &mut |_| None)
         });
         Ok(read?)
     }
 
-    /// Runs the passes of some stages, one after the other, after the commands that `prepare` records, and
-    /// reads buffers back.
-    fn run(
-        &self,
-        workspace: &WallWorkspace,
-        stages: &[Stage],
-        buffers: &[&wgpu::Buffer],
-        prepare: impl FnOnce(&mut wgpu::CommandEncoder),
-    ) -> Result<Vec<Vec<u8>>, GpuError> {
-        let Runner { context, passes, .. } = &self.runner;
-        let of = |stage: Stage| passes.iter().filter(move |ready| ready.pass.stage == stage);
-        let job = Job { bytes: workspace.bytes(), rounds: stages.len() as u64 };
-        self.runner.run(job, buffers, |encoder, timer| {
-            prepare(encoder);
-            workspace.record(context, stages.iter().copied().flat_map(of), encoder, timer)
-        })
+    /// The passes of stages over grids, in their order.
+    fn passes(&self, stages: &[(Stage, usize)]) -> impl Iterator<Item = (&ReadyPass, usize)> {
+        let of = |&(stage, level): &(Stage, usize)| {
+            let passes = self.runner.passes.iter().filter(move |ready| ready.pass.stage == stage);
+            passes.map(move |ready| (ready, level))
+        };
+        stages.iter().flat_map(of).collect::<Vec<_>>().into_iter()
     }
 
     /// A wall and echoes on the device.
@@ -155,13 +172,21 @@ impl GpuWallEngine {
             return Err(GpuError::Refused { what, reason: format!("{MAX_NODES} at most") }.into());
         }
         let (rings, nodes) = (grid.rings as u32, grid.nodes as u32);
-        let parameters = WallParameters::new(rings, nodes, start_mm, OUT_OF_PLANE);
-        let of_device: Vec<DeviceEcho> = echoes.par_iter().map(|e| e.for_device(grid, start_mm)).collect();
-        let start = std::time::Instant::now();
-        let workspace = self.prepare(&parameters, &of_device)?;
+        let parameters =
+            WallParameters::new([rings, nodes], [grid.step_mm, grid.arc_mm], start_mm, OUT_OF_PLANE);
+        let Runner { context, passes, .. } = &self.runner;
+        let start = Instant::now();
+        let kept = {
+            let mut kept = self.kept();
+            let place = kept.iter().position(|kept| kept.suits(context, &parameters, echoes.len()));
+            place.map(|place| kept.remove(place))
+        };
+        let workspace = WallWorkspace::new(context, passes, &parameters, echoes.len(), kept)?;
         let memory_s = start.elapsed().as_secs_f64();
-        self.runner.spend(Spent { memory_s, ..Spent::default() });
-        Ok(OnDevice { engine: self, workspace, grid, echoes, start_mm, factored: None, steps: 0 })
+        workspace.write_echoes(context, echoes, |echo| echo.for_device(grid, start_mm))?;
+        let filling_s = start.elapsed().as_secs_f64() - memory_s;
+        self.runner.spend(Spent { memory_s, filling_s, ..Spent::default() });
+        Ok(OnDevice { engine: self, workspace, grid, echoes, start_mm, steps: USUAL_STEPS })
     }
 }
 
@@ -172,80 +197,68 @@ pub(in crate::sweep) struct OnDevice<'a> {
     grid: &'a WallGrid,
     echoes: &'a mut [echo::Echo],
     start_mm: f64,
-    /// The weights of the rings and λ, mm², for which the device has the preconditioner's factors.
-    factored: Option<(Vec<f64>, f64)>,
-    /// Steps that the last equations took.
+    /// Steps of the solver to submit at first.
     steps: usize,
 }
 
+/// The passes that evaluate the residuals.
+const MEASURING: [(Stage, usize); 5] = [
+    (Stage::Measure, 0),
+    (Stage::MedianDigit, 0),
+    (Stage::MedianDigit, 0),
+    (Stage::MedianDigit, 0),
+    (Stage::MedianDigit, 0),
+];
+
 impl WallEngine for OnDevice<'_> {
     fn measure(&mut self, noise_mm: f64, project: bool) -> Result<f64> {
-        let context = &self.engine.runner.context;
         let parameters = WallParameters {
             project: u32::from(project),
             ..self.workspace.parameters().with_noise(noise_mm)
         };
-        self.workspace.set_parameters(context, &parameters)?;
-        let state = State { rank: (self.echoes.len() / 2) as u32, ..State::default() };
-        let of_device = self.workspace.shared("state");
-        context.write(of_device, bytemuck::bytes_of(&state))?;
-        let digit = Stage::MedianDigit;
-        let stages = [Stage::Measure, digit, digit, digit, digit];
-        let read = self.engine.run(&self.workspace, &stages, &[of_device], |_| ())?;
-        let state: State = bytemuck::pod_read_unaligned(&read[0]);
-        let residual_mm = f32::from_bits(state.prefix);
-        if state.digits != 4 || !residual_mm.is_finite() {
-            return Err(
-                GpuError::Wrong { what: "median residual", found: format!("{residual_mm} mm") }.into()
-            );
-        }
-        Ok(f64::from(residual_mm))
+        // The wall is given.
+        self.begin(&parameters, CONVERGED)?;
+        let (state, _) = self.run(&[], &MEASURING)?;
+        median(&state)
     }
 
     fn solve(&mut self, reweighting: &Reweighting) -> Result<Solution> {
-        let (engine, context, grid) = (self.engine, &self.engine.runner.context, self.grid);
-        let parameters =
-            WallParameters { gated: u32::from(!reweighting.warm_up), ..*self.workspace.parameters() }
-                .with_noise(reweighting.noise_mm)
-                .with_smoothness(reweighting.smoothness_mm2, grid.step_mm, grid.arc_mm);
-        self.workspace.set_parameters(context, &parameters)?;
-        let sums = ["sums_low", "sums_high"].map(|name| self.workspace.shared(name));
-        let ring_weights = self.workspace.shared("ring_weights");
-        let read = engine.run(&self.workspace, &[Stage::Equations], &[ring_weights], |encoder| {
-            sums.iter().for_each(|sums| encoder.clear_buffer(sums, 0, None));
-        })?;
-        let ring_weights: Vec<f64> = bytemuck::pod_collect_to_vec::<u8, f32>(&read[0])
-            .into_iter()
-            .take(grid.rings)
-            .map(f64::from)
-            .collect();
-
-        // In f64 and on the CPU, where nearly singular systems stay positive definite: without echoes on a
-        // ring, only the wall's bending determines it.
-        let smoothness_mm2 = reweighting.smoothness_mm2;
-        if !self.factored.as_ref().is_some_and(|(weights, smoothness)| {
-            alike(&[*smoothness], &[smoothness_mm2]) && alike(weights, &ring_weights)
-        }) {
-            let factors = factors(grid, &parameters, ring_weights.clone(), smoothness_mm2);
-            let weight = || ring_weights.iter().sum::<f64>().to_string();
-            let factors =
-                factors.ok_or_else(|| GpuError::Wrong { what: "weights of the rings", found: weight() })?;
-            context.write(self.workspace.shared("factors"), bytemuck::cast_slice(&factors.rings))?;
-            context.write(self.workspace.shared("separators"), bytemuck::cast_slice(&factors.separators))?;
-            self.factored = Some((ring_weights, smoothness_mm2));
+        let parameters = WallParameters {
+            gated: u32::from(!reweighting.warm_up),
+            project: u32::from(reweighting.project),
+            tolerance_square: (reweighting.tolerance * reweighting.tolerance) as f32,
+            max_steps: MAX_STEPS as u32,
+            ..*self.workspace.parameters()
         }
-        // The right-hand side for whole radii, in the preconditioner's norm: the reference of the relative
-        // residual.
-        context.write(self.workspace.shared("state"), bytemuck::bytes_of(&State::default()))?;
-        let stages = [Stage::RightHandSide, Stage::Precondition];
-        let partials = self.partials(&stages, self.workspace.frequency_groups())?;
-        let whole: f64 = partials.into_iter().map(f64::from).sum();
-        let max_residual_square = (reweighting.tolerance * reweighting.tolerance * whole) as f32;
-        self.workspace.set_parameters(context, &WallParameters { max_residual_square, ..parameters })?;
-        let solved = self.conjugate_gradients()?;
-        self.steps = solved.steps;
-
-        let partials = self.partials(&[Stage::Move], 2 * grid.node_count().div_ceil(256))?;
+        .with_noise(reweighting.noise_mm)
+        .with_smoothness(reweighting.smoothness_mm2);
+        self.begin(&parameters, 0)?;
+        let coarsen = (0..self.workspace.level_count() - 1).map(|level| (Stage::Coarsen, level));
+        let cycle = self.cycle();
+        let before: Vec<_> = std::iter::once((Stage::Equations, 0))
+            .chain(coarsen)
+            .chain([(Stage::RightHandSide, 0)])
+            .chain(cycle.iter().copied())
+            .chain([(Stage::Limit, 0)])
+            .collect();
+        let steps = |count: usize| {
+            let step = [&cycle[..], &[(Stage::Step, 0)]].concat();
+            // These do nothing where more steps are needed.
+            [&step.repeat(count)[..], &[(Stage::Move, 0)], &MEASURING].concat()
+        };
+        let mut submitted = self.steps;
+        let (mut state, mut partials) = self.run(&before, &steps(submitted))?;
+        // The last step only tests whether the one before sufficed.
+        while state.done == 0 && submitted <= MAX_STEPS {
+            submitted += USUAL_STEPS;
+            (state, partials) = self.run(&[], &steps(USUAL_STEPS))?;
+        }
+        let taken = state.steps as usize;
+        if !state.is_solved() {
+            let found = format!("residual square {} after {taken} steps", state.residual_square);
+            return Err(GpuError::Wrong { what: "wall equations", found }.into());
+        }
+        self.steps = (taken + 2).min(MOST_STEPS);
         let [travel, weight] = partials
             .chunks_exact(2)
             .fold([0.0; 2], |[a, b], pair| [a + f64::from(pair[0]), b + f64::from(pair[1])]);
@@ -253,180 +266,104 @@ impl WallEngine for OnDevice<'_> {
         if !travel_mm.is_finite() {
             return Err(GpuError::Wrong { what: "travel of the nodes", found: travel_mm.to_string() }.into());
         }
-        Ok(Solution { travel_mm, solved })
+        let solved = Solved { steps: taken, converged: state.done == CONVERGED };
+        Ok(Solution { travel_mm, solved, residual_mm: median(&state)? })
     }
 
     fn finish(self) -> Result<Vec<f64>> {
-        let (shifts, residuals) = (self.workspace.of_chunks("shifts"), self.workspace.of_chunks("residuals"));
-        let chunks = self.workspace.chunk_count();
-        let wall = [self.workspace.shared("wall")];
-        let read =
-            self.engine.run(&self.workspace, &[], &[&wall[..], &shifts, &residuals].concat(), |_| ())?;
-        let (shifts, residuals) = read[1..].split_at(chunks);
-        let mut echoes = self.echoes.iter_mut();
-        for ((shifts, residuals), count) in shifts.iter().zip(residuals).zip(self.workspace.echo_counts()) {
-            let shifts: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(shifts);
-            let residuals: Vec<f32> = bytemuck::pod_collect_to_vec(residuals);
-            for ((echo, shift), residual) in echoes.by_ref().take(count).zip(shifts).zip(residuals) {
-                echo.set_residual(shift.map(f64::from), f64::from(residual));
-            }
-        }
-        let wall: Vec<f32> = bytemuck::pod_collect_to_vec(&read[0]);
-        let radii = wall.into_iter().take(self.grid.node_count());
-        Ok(radii.map(|rise| self.start_mm + f64::from(rise)).collect())
+        let Self { engine, workspace, grid, echoes, start_mm, .. } = self;
+        let of_each = |name, bytes: u64| {
+            let buffers = workspace.of_chunks(name).into_iter();
+            buffers.zip(workspace.echo_counts()).map(move |(buffer, count)| (buffer, bytes * count as u64))
+        };
+        let parts: Vec<(&wgpu::Buffer, u64)> =
+            std::iter::once((workspace.shared("wall"), 4 * grid.node_count() as u64))
+                .chain(of_each("shifts", 8))
+                .chain(of_each("residuals", 4))
+                .collect();
+        let job = Job { bytes: workspace.bytes(), rounds: 1 };
+        let radii_mm = engine.runner.run_and_read(
+            job,
+            &parts,
+            |_, _| Ok(()),
+            |views| {
+                let (shifts, residuals) = views[1..].split_at(workspace.chunk_count());
+                let mut left = &mut echoes[..];
+                for ((shifts, residuals), count) in shifts.iter().zip(residuals).zip(workspace.echo_counts())
+                {
+                    let echoes = left.split_off_mut(..count).unwrap_or_default();
+                    let shifts = shifts.par_chunks(8 * PIECE);
+                    let residuals = residuals.par_chunks(4 * PIECE);
+                    echoes.par_chunks_mut(PIECE).zip(shifts).zip(residuals).for_each(|((echoes, s), r)| {
+                        for ((echo, shift), residual) in
+                            echoes.iter_mut().zip(s.chunks_exact(8)).zip(r.chunks_exact(4))
+                        {
+                            let shift: [f32; 2] = bytemuck::pod_read_unaligned(shift);
+                            let residual: f32 = bytemuck::pod_read_unaligned(residual);
+                            echo.set_residual(shift.map(f64::from), f64::from(residual));
+                        }
+                    });
+                }
+                let rise = |bytes| f64::from(bytemuck::pod_read_unaligned::<f32>(bytes));
+                views[0].par_chunks_exact(4).with_min_len(PIECE).map(|bytes| start_mm + rise(bytes)).collect()
+            },
+        )?;
+        engine.keep(workspace);
+        Ok(radii_mm)
     }
 }
 
 impl OnDevice<'_> {
-    /// Runs stages and returns the partial sums of the last pass.
-    fn partials(&self, stages: &[Stage], count: usize) -> Result<Vec<f32>> {
-        let read = self.engine.run(&self.workspace, stages, &[self.workspace.shared("partials")], |_| ())?;
-        let mut partials = bytemuck::pod_collect_to_vec::<u8, f32>(&read[0]);
-        partials.truncate(count);
-        Ok(partials)
+    /// Sets the parameters of the passes, and a state in which the solver has ended as `done` says.
+    fn begin(&mut self, parameters: &WallParameters, done: u32) -> Result<()> {
+        let context = &self.engine.runner.context;
+        self.workspace.set_parameters(context, parameters)?;
+        let state = State { rank: (self.echoes.len() / 2) as u32, done, ..State::default() };
+        Ok(context.write(self.workspace.shared("state"), bytemuck::bytes_of(&state))?)
     }
 
-    /// Conjugate gradients until convergence, or until the steps run out.
-    fn conjugate_gradients(&self) -> Result<Solved> {
-        let [state, residual, product] =
-            ["state", "cg_residual", "product"].map(|name| self.workspace.shared(name));
-        let mut submitted = 0;
-        while submitted < MAX_STEPS {
-            let first = submitted == 0;
-            // At first as many as the last equations took and a test of convergence, so that one look suffices.
-            let wanted = if first { self.steps + 1 } else { 0 };
-            let more = wanted.clamp(STEPS_PER_SUBMISSION, MAX_STEPS).min(MAX_STEPS - submitted);
-            submitted += more;
-            let steps = [Stage::Precondition, Stage::Step].repeat(more);
-            let read = self.engine.run(&self.workspace, &steps, &[state], |encoder| {
-                if first {
-                    // `assemble` has written it there.
-                    encoder.copy_buffer_to_buffer(product, 0, residual, 0, Some(product.size()));
+    /// Runs the passes of `equations`, which leave their residual where `apply` leaves products, hands that to the solver,
+    /// and runs those of `stages`; without equations the latter only. Returns the state and the last partial sums.
+    fn run(&self, equations: &[(Stage, usize)], stages: &[(Stage, usize)]) -> Result<(State, Vec<f32>)> {
+        let Self { engine, workspace, .. } = self;
+        let context = &engine.runner.context;
+        let nodes = workspace.parameters().node_count;
+        let [state, partials, product, rights] =
+            ["state", "partials", "product", "rights"].map(|name| workspace.shared(name));
+        let parts = [(state, size_of::<State>() as u64), (partials, 8 * u64::from(nodes.div_ceil(256)))];
+        let job = Job { bytes: workspace.bytes(), rounds: (equations.len() + stages.len()) as u64 };
+        let record = |encoder: &mut wgpu::CommandEncoder, timer: &mut Timer| {
+            if !equations.is_empty() {
+                for name in ["sums_low", "sums_high"] {
+                    encoder.clear_buffer(workspace.shared(name), 0, None);
                 }
-            })?;
-            let state: State = bytemuck::pod_read_unaligned(&read[0]);
-            let steps = state.steps as usize;
-            match state.done {
-                0 if steps < MAX_STEPS => {}
-                0 => break,
-                CONVERGED => return Ok(Solved { steps, converged: true }),
-                _ => {
-                    let found = format!("residual square {} after {steps} steps", state.residual_square);
-                    return Err(GpuError::Wrong { what: "wall equations", found }.into());
-                }
+                workspace.record(context, engine.passes(equations), encoder, timer)?;
+                encoder.copy_buffer_to_buffer(product, 0, rights, 0, Some(4 * u64::from(nodes)));
             }
-        }
-        Ok(Solved { steps: MAX_STEPS, converged: false })
+            workspace.record(context, engine.passes(stages), encoder, timer)
+        };
+        let read = |views: &[&[u8]]| {
+            (bytemuck::pod_read_unaligned(views[0]), bytemuck::pod_collect_to_vec(views[1]))
+        };
+        Ok(engine.runner.run_and_read(job, &parts, record, read)?)
+    }
+
+    /// The multigrid cycle.
+    fn cycle(&self) -> Vec<(Stage, usize)> {
+        let large = self.workspace.large_levels();
+        let descend = (0..large).map(|level| (Stage::Descend, level));
+        let ascend = (0..large).rev().map(|level| (Stage::Ascend, level));
+        let start = std::iter::once((Stage::Start, 0));
+        start.chain(descend).chain([(Stage::Coarse, large)]).chain(ascend).collect()
     }
 }
 
-/// Whether weights are so like those that the preconditioner was made for that it is as good for them.
-fn alike(before: &[f64], now: &[f64]) -> bool {
-    before.iter().zip(now).all(|(before, now)| (now - before).abs() <= MAX_CHANGE * before)
-}
-
-/// The factored systems of the preconditioner; `None` where the weights are not finite.
-fn factors(
-    grid: &WallGrid,
-    parameters: &WallParameters,
-    ring_weights: Vec<f64>,
-    smoothness_mm2: f64,
-) -> Option<Factors> {
-    let weights = grid.even_weights(ring_weights);
-    let (rings, frequencies) = (grid.rings, grid.nodes / 2 + 1);
-    let systems: Vec<Dissected> = (0..frequencies)
-        .into_par_iter()
-        .map(|frequency| {
-            let system = grid.system(frequency, &weights, smoothness_mm2, LocalSmoothness::EVEN);
-            system.dissected(parameters.blocks as usize, parameters.block_rings as usize)
-        })
-        .collect::<Option<_>>()?;
-    let mut factors = Factors::zeroed(parameters);
-    factors.rings.par_chunks_mut(frequencies).enumerate().for_each(|(k, plane)| {
-        let (part, ring) = (k / rings, k % rings);
-        plane.iter_mut().zip(&systems).for_each(|(factor, system)| *factor = system.rows[ring][part] as f32);
-    });
-    for (separator, row) in factors.separators.chunks_mut(frequencies).enumerate() {
-        row.iter_mut()
-            .zip(&systems)
-            .for_each(|(factors, s)| *factors = s.separators[separator].map(|x| x as f32));
+/// The median of |residual| that a state has, mm.
+fn median(state: &State) -> Result<f64> {
+    let residual_mm = f32::from_bits(state.prefix);
+    if state.digits != 4 || !residual_mm.is_finite() {
+        let found = format!("{residual_mm} mm");
+        return Err(GpuError::Wrong { what: "median residual", found }.into());
     }
-    Some(factors)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::sweep::wall::passes::{
-        couple, eliminate, hartley_first, hartley_second_spectrum, hartley_second_values, substitute,
-        twiddles,
-    };
-    use std::f64::consts::TAU;
-
-    /// Uneven weights, and rings before, amid and behind them without any.
-    fn ring_weights(rings: usize) -> Vec<f64> {
-        let empty =
-            |ring: usize| ring < 20 || (rings / 2..rings / 2 + 9).contains(&ring) || ring + 25 > rings;
-        (0..rings).map(|ring| if empty(ring) { 0.0 } else { 300.0 + 100.0 * (ring as f64).sin() }).collect()
-    }
-
-    /// The same by sums of cosines and sines, and systems that are solved from one end to the other.
-    fn evenly_preconditioned(grid: &WallGrid, smoothness: f64, values: &[f32]) -> Vec<f64> {
-        let (rings, nodes) = (grid.rings, grid.nodes);
-        let weights = grid.even_weights(ring_weights(rings));
-        let mut x = vec![0.0; values.len()];
-        for frequency in 0..nodes {
-            let nearest = frequency.min(nodes - frequency);
-            let system =
-                grid.system(nearest, &weights, smoothness, LocalSmoothness::EVEN).factored().unwrap();
-            for wave in [f64::cos, f64::sin] {
-                let wave = |j: usize| wave(TAU * (frequency * j % nodes) as f64 / nodes as f64);
-                let of_ring = |ring: &[f32]| (0..nodes).map(|j| f64::from(ring[j]) * wave(j)).sum::<f64>();
-                let column = system.solve(values.chunks_exact(nodes).map(of_ring).collect());
-                for (ring, amplitude) in x.chunks_exact_mut(nodes).zip(column) {
-                    (0..nodes).for_each(|j| ring[j] += amplitude * wave(j) / nodes as f64);
-                }
-            }
-        }
-        x
-    }
-
-    #[test]
-    fn systems_in_blocks_have_the_solutions_of_whole_ones() {
-        for (rings, nodes, smoothness) in [(9, 8, 1.0), (100, 9, 1e-3), (300, 24, 60.0), (301, 24, 60.0)] {
-            let grid = WallGrid::new(rings, nodes, 1.1, 4.0);
-            let parameters = WallParameters::new(rings as u32, nodes as u32, 4.0, 0.1);
-            let factors = factors(&grid, &parameters, ring_weights(rings), smoothness).unwrap();
-            let twiddles = twiddles(nodes as u32);
-            let values: Vec<f32> =
-                (0..grid.node_count()).map(|i| (0.37 * (i * i % 977) as f32).sin()).collect();
-            let mut spectrum = hartley_second_spectrum(
-                &parameters,
-                &twiddles,
-                &hartley_first(&parameters, &twiddles, &values),
-            );
-            let updates = eliminate(&parameters, &factors, &mut spectrum);
-            couple(&parameters, &factors, &updates, &mut spectrum);
-            substitute(&parameters, &factors, &mut spectrum);
-            let (found, _) = hartley_second_values(
-                &parameters,
-                &twiddles,
-                &hartley_first(&parameters, &twiddles, &spectrum),
-                &values,
-            );
-
-            let expected = evenly_preconditioned(&grid, smoothness, &values);
-            let scale = expected.iter().map(|x| x.abs()).fold(0.0, f64::max);
-            let apart =
-                found.iter().zip(&expected).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
-            // Without echoes, only the bending determines the ends: rounding matters most there.
-            assert!(apart < 2e-3 * scale, "{rings} rings of {nodes}: {apart:e} of {scale:e}");
-        }
-    }
-
-    #[test]
-    fn weights_that_are_no_numbers_have_no_factors() {
-        let grid = WallGrid::new(100, 9, 1.1, 4.0);
-        assert!(factors(&grid, &WallParameters::new(100, 9, 4.0, 0.1), vec![f64::NAN; 100], 1.0).is_none());
-    }
+    Ok(f64::from(residual_mm))
 }

@@ -1,6 +1,7 @@
 //! The table of passes of the wall's fit on the device.
 
-use crate::gpu::shader::shader;
+use crate::gpu::shader::{constants, shader};
+use crate::sweep::wall::passes::{FLOOR, MOST_COARSEST};
 
 /// The part of the fit to which a pass belongs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -11,10 +12,20 @@ pub enum Stage {
     MedianDigit,
     /// The equations of a reweighting.
     Equations,
-    /// Their right-hand side for whole radii.
+    /// The weights of each coarser grid.
+    Coarsen,
+    /// The right-hand side of the equations for whole radii.
     RightHandSide,
-    /// The preconditioner, in each step of conjugate gradients.
-    Precondition,
+    /// The first relaxation of the multigrid cycle.
+    Start,
+    /// The multigrid cycle on the way to coarser grids: each of the finer ones.
+    Descend,
+    /// The cycle over all coarser ones.
+    Coarse,
+    /// The cycle on the way back.
+    Ascend,
+    /// The residual at which conjugate gradients stop.
+    Limit,
     /// The rest of each step of conjugate gradients.
     Step,
     /// The move of the wall by their solution.
@@ -32,14 +43,14 @@ pub enum Items {
     One,
     /// One invocation per node.
     Nodes,
-    /// One workgroup per ring.
-    Rings,
-    /// One invocation per frequency of each ring.
-    Frequencies,
-    /// One invocation per Hartley coefficient of each block of rings.
-    BlockCoefficients,
-    /// One invocation per Hartley coefficient.
-    Coefficients,
+    /// One invocation per node of a grid of the multigrid cycle.
+    LevelNodes,
+    /// One invocation per node of a grid that has a coarser one.
+    FinerNodes,
+    /// One invocation per node of the next coarser one.
+    CoarserNodes,
+    /// One workgroup for all grids that it suffices for.
+    CoarseGrids,
 }
 
 /// A row of the pass table.
@@ -48,14 +59,23 @@ pub type Pass = crate::gpu::Pass<Stage, Items>;
 const PARAMETERS: &str = include_str!("../../../../shaders/sweep/common/parameters.wgsl");
 const WALL_RESIDUAL: &str = include_str!("../../../../shaders/sweep/common/wall_residual.wgsl");
 const BENDING: &str = include_str!("../../../../shaders/sweep/common/bending.wgsl");
-const BLOCKS: &str = include_str!("../../../../shaders/sweep/common/blocks.wgsl");
 const COUPLED: &str = include_str!("../../../../shaders/sweep/common/coupled.wgsl");
 const PARTIALS: &str = include_str!("../../../../shaders/sweep/common/partials.wgsl");
 const SUM: &str = include_str!("../../../../shaders/sweep/common/sum.wgsl");
-const HARTLEY_SECOND: &str = include_str!("../../../../shaders/sweep/common/hartley_second.wgsl");
+const DIAGONAL: &str = include_str!("../../../../shaders/sweep/common/diagonal.wgsl");
+const MATRIX: &str = include_str!("../../../../shaders/sweep/common/matrix.wgsl");
+const TRANSFER: &str = include_str!("../../../../shaders/sweep/common/transfer.wgsl");
+const RESTRICTED: &str = include_str!("../../../../shaders/sweep/common/restricted.wgsl");
+const INTERPOLATED: &str = include_str!("../../../../shaders/sweep/common/interpolated.wgsl");
 const DISPATCH: &str = include_str!("../../../../shaders/common/dispatch.wgsl");
 const SCALAR: &str = include_str!("../../../../shaders/common/scalar.wgsl");
 const SCAN: &str = include_str!("../../../../shaders/common/scan.wgsl");
+
+/// The constants of the multigrid cycle.
+fn multigrid_constants() -> String {
+    let numbers = constants([("FLOOR", FLOOR)]);
+    format!("{numbers}const MOST_COARSEST: u32 = {MOST_COARSEST}u;\n")
+}
 
 /// A row: name and, where it differs, `in` the file's; stage, items, workgroup size, common files and
 /// bindings.
@@ -65,7 +85,7 @@ macro_rules! pass {
         Pass {
             shader: shader!(
                 "sweep", $name $(in $file)?, $size, [PARAMETERS, DISPATCH, $($common),*],
-                ["parameters": Uniform, $($binding)*], {}
+                ["parameters": Uniform, $($binding)*], { preamble: multigrid_constants }
             ),
             stage: Stage::$stage,
             items: Items::$items,
@@ -73,10 +93,10 @@ macro_rules! pass {
     };
 }
 
-/// Every pass, in the order in which they run.
-pub static PASSES: [Pass; 20] = [
+/// Every pass, in the order in which they run; those of the multigrid cycle run grid by grid.
+pub static PASSES: [Pass; 23] = [
     pass!("measure", Measure, Echoes, 256, [WALL_RESIDUAL], [
-        "echoes": Read, "wall": Read, "shifts": Write, "residuals": Write,
+        "state": Read, "echoes": Read, "wall": Read, "shifts": Write, "residuals": Write,
     ]),
     pass!("count_residuals", MedianDigit, EchoBlocks, 256, [], ["residuals": Read, "state": Read, "counts": Write]),
     pass!("pick_digit", MedianDigit, One, 256, [SCAN], ["counts": Write, "state": Write]),
@@ -87,40 +107,49 @@ pub static PASSES: [Pass; 20] = [
         "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Write, "product": Write, "change": Write,
         "direction": Write,
     ]),
-    pass!("weigh_rings", Equations, Rings, 256, [SUM], ["rows": Read, "ring_weights": Write]),
+    pass!("lump", Equations, Nodes, 256, [COUPLED, DIAGONAL], ["rows": Read, "own": Write]),
+    pass!("coarsen", Coarsen, CoarserNodes, 64, [DIAGONAL, TRANSFER, RESTRICTED], ["levels": Read, "own": Write]),
     pass!("assemble_rhs", RightHandSide, Nodes, 256, [COUPLED, SCALAR], [
-        "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Read, "cg_residual": Write,
+        "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Read, "cg_residual" = "rights": Write,
     ]),
-    pass!("hartley_first_residual" in "hartley_first", Precondition, Nodes, 256, [], [
-        "state": Read, "twiddles": Read, "values" = "cg_residual": Read, "intermediate": Write,
+    pass!("smooth_zero", Start, Nodes, 256, [], ["state": Read, "own": Read, "rights": Read, "others": Write]),
+    pass!("smooth_second" in "smooth", Descend, LevelNodes, 256, [BENDING, COUPLED, MATRIX], [
+        "state": Read, "levels": Read, "rows": Read, "own": Read, "rights": Read, "before" = "others": Read,
+        "after" = "values": Write,
     ]),
-    pass!("hartley_second_spectrum", Precondition, Frequencies, 256, [HARTLEY_SECOND], [
-        "state": Read, "twiddles": Read, "intermediate": Read, "spectrum": Write,
+    pass!("remainder", Descend, LevelNodes, 256, [BENDING, COUPLED, MATRIX], [
+        "state": Read, "levels": Read, "rows": Read, "own": Read, "rights": Read, "values": Read, "others": Write,
     ]),
-    pass!("eliminate", Precondition, BlockCoefficients, 64, [BLOCKS], [
-        "state": Read, "factors": Read, "spectrum": Write, "updates": Write,
+    pass!("restrict", Descend, CoarserNodes, 64, [TRANSFER, RESTRICTED], [
+        "state": Read, "levels": Read, "own": Read, "rights": Write, "others": Write,
     ]),
-    pass!("couple", Precondition, Coefficients, 64, [BLOCKS], [
-        "state": Read, "separators": Read, "updates": Read, "spectrum": Write,
+    pass!("coarse_cycle", Coarse, CoarseGrids, 256, [BENDING, DIAGONAL, TRANSFER, RESTRICTED, INTERPOLATED], [
+        "state": Read, "levels": Read, "own": Read, "rights": Write, "values": Write, "others": Write,
     ]),
-    pass!("substitute", Precondition, BlockCoefficients, 64, [BLOCKS], [
-        "state": Read, "factors": Read, "spectrum": Write,
+    pass!("prolong", Ascend, FinerNodes, 256, [TRANSFER, INTERPOLATED], [
+        "state": Read, "levels": Read, "values": Write,
     ]),
-    pass!("hartley_first_spectrum" in "hartley_first", Precondition, Nodes, 256, [], [
-        "state": Read, "twiddles": Read, "values" = "spectrum": Read, "intermediate": Write,
+    pass!("smooth_last_but_one" in "smooth", Ascend, LevelNodes, 256, [BENDING, COUPLED, MATRIX], [
+        "state": Read, "levels": Read, "rows": Read, "own": Read, "rights": Read, "before" = "values": Read,
+        "after" = "others": Write,
     ]),
-    pass!("hartley_second_values", Precondition, Frequencies, 256, [HARTLEY_SECOND, SUM], [
-        "state": Read, "twiddles": Read, "intermediate": Read, "cg_residual": Read, "preconditioned": Write,
+    pass!("smooth_last", Ascend, LevelNodes, 256, [BENDING, COUPLED, MATRIX, SUM], [
+        "state": Read, "levels": Read, "rows": Read, "own": Read, "rights": Read, "others": Read, "values": Write,
         "partials": Write,
     ]),
+    pass!("cg_limit", Limit, One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
     pass!("cg_beta", Step, One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
-    pass!("cg_direction", Step, Nodes, 256, [], ["state": Read, "preconditioned": Read, "direction": Write]),
+    pass!("cg_direction", Step, Nodes, 256, [], [
+        "state": Read, "preconditioned" = "values": Read, "direction": Write,
+    ]),
     pass!("apply", Step, Nodes, 256, [BENDING, COUPLED, SUM], [
         "state": Read, "rows": Read, "direction": Read, "product": Write, "partials": Write,
     ]),
     pass!("cg_alpha", Step, One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
     pass!("cg_step", Step, Nodes, 256, [], [
-        "state": Read, "direction": Read, "product": Read, "change": Write, "cg_residual": Write,
+        "state": Read, "direction": Read, "product": Read, "change": Write, "cg_residual" = "rights": Write,
     ]),
-    pass!("move_wall", Move, Nodes, 256, [SUM], ["change": Read, "rows": Read, "wall": Write, "partials": Write]),
+    pass!("move_wall", Move, Nodes, 256, [SUM], [
+        "state": Read, "change": Read, "rows": Read, "wall": Write, "partials": Write,
+    ]),
 ];

@@ -2,9 +2,10 @@
 
 use super::ReadyPass;
 use super::pass::{Items, Pass};
-use crate::gpu::{Buffers, Context, GpuError, Timer, dispatch_size};
-use crate::sweep::wall::passes::{DeviceEcho, State, WallParameters, twiddles};
+use crate::gpu::{Buffers, Context, GpuError, Timer, checked, dispatch_size};
+use crate::sweep::wall::passes::{DeviceEcho, Level, State, WallParameters};
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// The device memory of a wall and the echoes about it.
 ///
@@ -13,8 +14,11 @@ use std::collections::BTreeMap;
 /// those of the others in the number of echoes only.
 pub struct WallWorkspace {
     parameters: WallParameters,
+    levels: Vec<Level>,
     buffers: Buffers,
     chunks: Vec<Chunk>,
+    /// Of the passes that process no echoes, for each grid where a pass takes grids.
+    bind_groups: BTreeMap<&'static str, Vec<wgpu::BindGroup>>,
 }
 
 struct Chunk {
@@ -23,40 +27,63 @@ struct Chunk {
     bind_groups: BTreeMap<&'static str, wgpu::BindGroup>,
 }
 
+/// Bytes from one grid to the next: a binding may begin at every one.
+const LEVEL_BYTES: u64 = size_of::<Level>() as u64;
+
+/// Grids with at most this many nodes are left to one workgroup.
+const MOST_OF_ONE: u32 = 2048;
+
 /// Bytes per echo in the largest of its buffers.
 const ECHO_BYTES: u64 = size_of::<DeviceEcho>() as u64;
 
 /// Name and size in bytes of the buffers that belong to no chunk.
 fn sizes(parameters: &WallParameters) -> Vec<(&'static str, u64)> {
-    let [nodes, rings, around, blocks] =
-        [parameters.node_count, parameters.rings, parameters.nodes, parameters.blocks].map(u64::from);
-    let frequencies = around / 2 + 1;
+    let nodes = u64::from(parameters.node_count);
+    let levels = parameters.levels();
+    let all = levels.iter().map(|level| u64::from(level.count)).sum::<u64>();
     vec![
         ("state", size_of::<State>() as u64),
         ("counts", 4 * 256),
+        ("levels", LEVEL_BYTES * levels.len() as u64),
         ("wall", 4 * nodes),
         ("sums_low", 20 * nodes),
         ("sums_high", 20 * nodes),
         ("rows", 16 * nodes),
-        ("ring_weights", 4 * rings),
-        ("twiddles", 8 * around),
-        ("factors", 20 * rings * frequencies),
-        ("separators", 32 * (blocks - 1) * frequencies),
-        ("updates", 16 * blocks * around),
-        ("cg_residual", 4 * nodes),
-        ("intermediate", 8 * nodes),
-        ("spectrum", 4 * nodes),
-        ("preconditioned", 4 * nodes),
+        ("own", 8 * all),
+        ("rights", 4 * all),
+        ("values", 4 * all),
+        ("others", 4 * all),
         ("direction", 4 * nodes),
         ("product", 4 * nodes),
         ("change", 4 * nodes),
-        ("partials", 4 * (2 * nodes.div_ceil(256)).max(u64::from(frequency_groups(parameters)))),
+        ("partials", 8 * nodes.div_ceil(256)),
     ]
 }
 
-/// Workgroups of the second stage of a transform: 256 frequencies each.
-fn frequency_groups(parameters: &WallParameters) -> u32 {
-    (parameters.rings * (parameters.nodes / 2 + 1)).div_ceil(256)
+/// The numbers of echoes of the chunks that a device holds them in. Without echoes there is one empty chunk.
+fn chunks(context: &Context, echoes: usize) -> Vec<u32> {
+    let limits = context.device.limits();
+    let max_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    // No chunk needs more than 2³² of anything.
+    let most = (max_bytes / ECHO_BYTES).clamp(1, u64::from(u32::MAX / 16)) as usize;
+    (0..echoes.max(1)).step_by(most).map(|first| most.min(echoes - first) as u32).collect()
+}
+
+/// Whether a pass runs once per chunk of echoes.
+fn is_of_echoes(items: Items) -> bool {
+    matches!(items, Items::Echoes | Items::EchoBlocks)
+}
+
+/// Name and size in bytes of the buffers of a chunk.
+fn chunk_sizes(echoes: u32) -> [(&'static str, u64); 4] {
+    let count = u64::from(echoes);
+    let parameters = size_of::<WallParameters>() as u64;
+    [
+        ("parameters", parameters),
+        ("echoes", ECHO_BYTES * count),
+        ("shifts", 8 * count),
+        ("residuals", 4 * count),
+    ]
 }
 
 impl WallWorkspace {
@@ -64,42 +91,86 @@ impl WallWorkspace {
         context: &Context,
         passes: &[ReadyPass],
         parameters: &WallParameters,
-        echoes: &[DeviceEcho],
+        echoes: usize,
+        kept: Option<Self>,
     ) -> Result<Self, GpuError> {
-        let limits = context.device.limits();
-        let max_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        // No chunk needs more than 2³² of anything.
-        let max_echoes = (max_bytes / ECHO_BYTES).clamp(1, u64::from(u32::MAX / 16)) as usize;
+        let counts = chunks(context, echoes);
+        if let Some(mut kept) = kept.filter(|kept| kept.suits(context, parameters, echoes)) {
+            kept.chunks.iter_mut().zip(counts).for_each(|(chunk, count)| chunk.echoes = count);
+            kept.start(context, parameters)?;
+            return Ok(kept);
+        }
         let buffers = Buffers::new(context, passes, &sizes(parameters))?;
-        let chunk = |echoes: &[DeviceEcho]| {
-            let count = echoes.len() as u64;
-            let parameters_bytes = size_of::<WallParameters>() as u64;
-            let sizes = [
-                ("parameters", parameters_bytes),
-                ("echoes", ECHO_BYTES * count),
-                ("shifts", 8 * count),
-                ("residuals", 4 * count),
-            ];
-            let own = Buffers::new(context, passes, &sizes)?;
+        let chunk = |echoes: u32| {
+            let own = Buffers::new(context, passes, &chunk_sizes(echoes))?;
             let bind_groups = passes
                 .iter()
+                .filter(|ready| is_of_echoes(ready.pass.items))
                 .map(|ready| {
                     let find = |name| own.find(name).unwrap_or_else(|| &buffers[name]).as_entire_binding();
                     Ok((ready.pass.shader.name, ready.pipeline.bind(&context.device, find)?))
                 })
                 .collect::<Result<_, GpuError>>()?;
-            context.write(&own["echoes"], bytemuck::cast_slice(echoes))?;
-            Ok(Chunk { echoes: echoes.len() as u32, buffers: own, bind_groups })
+            Ok(Chunk { echoes, buffers: own, bind_groups })
         };
-        // Without echoes there is one empty chunk.
-        let chunks = match echoes {
-            [] => vec![chunk(&[])?],
-            _ => echoes.chunks(max_echoes).map(chunk).collect::<Result<_, GpuError>>()?,
+        let chunks: Vec<Chunk> = counts.into_iter().map(chunk).collect::<Result<_, GpuError>>()?;
+        let levels = parameters.levels();
+        let bind = |ready: &ReadyPass, level: usize| {
+            ready.pipeline.bind(&context.device, |name| {
+                let buffer = chunks[0].buffers.find(name).unwrap_or_else(|| &buffers[name]);
+                let offset = if name == "levels" { LEVEL_BYTES * level as u64 } else { 0 };
+                wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset, size: None })
+            })
         };
-        let mut workspace = Self { parameters: *parameters, buffers, chunks };
-        context.write(workspace.shared("twiddles"), bytemuck::cast_slice(&twiddles(parameters.nodes)))?;
-        workspace.set_parameters(context, parameters)?;
+        let bind_groups = passes
+            .iter()
+            .filter(|ready| !is_of_echoes(ready.pass.items))
+            .map(|ready| {
+                let shader = &ready.pass.shader;
+                let takes_levels = shader.bindings.iter().any(|binding| binding.buffer == "levels");
+                let count = if takes_levels { levels.len() } else { 1 };
+                let of_each = (0..count).map(|level| bind(ready, level)).collect::<Result<_, GpuError>>()?;
+                Ok((shader.name, of_each))
+            })
+            .collect::<Result<_, GpuError>>()?;
+        let mut workspace = Self { parameters: *parameters, levels, buffers, chunks, bind_groups };
+        workspace.start(context, parameters)?;
         Ok(workspace)
+    }
+
+    /// Whether the memory is of like size as a wall and that many echoes need.
+    pub(super) fn suits(&self, context: &Context, parameters: &WallParameters, echoes: usize) -> bool {
+        let counts = chunks(context, echoes);
+        self.buffers.suit(&sizes(parameters))
+            && self.chunks.len() == counts.len()
+            && self.chunks.iter().zip(counts).all(|(chunk, count)| chunk.buffers.suit(&chunk_sizes(count)))
+    }
+
+    /// The state before the first pass: a tube, and echoes that are their own projections.
+    fn start(&mut self, context: &Context, parameters: &WallParameters) -> Result<(), GpuError> {
+        let mut encoder = context.device.create_command_encoder(&Default::default());
+        let zeroed = ["wall", "counts"].map(|name| self.shared(name));
+        for buffer in zeroed.into_iter().chain(self.of_chunks("shifts")) {
+            encoder.clear_buffer(buffer, 0, None);
+        }
+        checked(&context.device, "start of a wall", || context.queue.submit([encoder.finish()]))?;
+        self.set_parameters(context, parameters)
+    }
+
+    /// Writes what each of some items is converted to: as many as there are echoes.
+    pub(super) fn write_echoes<T: Sync>(
+        &self,
+        context: &Context,
+        items: &[T],
+        convert: impl Fn(&T) -> DeviceEcho + Sync,
+    ) -> Result<(), GpuError> {
+        let mut left = items;
+        for chunk in &self.chunks {
+            let (items, others) = left.split_at(chunk.echoes as usize);
+            context.write_converted(&chunk.buffers["echoes"], items, &convert)?;
+            left = others;
+        }
+        Ok(())
     }
 
     /// The parameters of the passes.
@@ -137,9 +208,24 @@ impl WallWorkspace {
         self.chunks.iter().map(|chunk| chunk.echoes as usize)
     }
 
-    /// Workgroups of the second stage of a transform: as many as it has partial sums.
-    pub(super) fn frequency_groups(&self) -> usize {
-        frequency_groups(&self.parameters) as usize
+    /// The number of grids that are too large for one workgroup, the finest always among them.
+    pub fn large_levels(&self) -> usize {
+        self.levels.iter().skip(1).take_while(|level| level.count > MOST_OF_ONE).count() + 1
+    }
+
+    /// The grids that a pass over grids can run on; passes that do not take any run once.
+    pub(super) fn levels_of(&self, items: Items) -> Range<usize> {
+        match items {
+            Items::LevelNodes => 0..self.levels.len(),
+            Items::FinerNodes | Items::CoarserNodes => 0..self.levels.len() - 1,
+            Items::CoarseGrids => self.large_levels()..self.large_levels() + 1,
+            _ => 0..1,
+        }
+    }
+
+    /// The number of grids.
+    pub(super) fn level_count(&self) -> usize {
+        self.levels.len()
     }
 
     /// Sets the parameters of the passes; the grid and the number of echoes stay.
@@ -152,62 +238,66 @@ impl WallWorkspace {
             let parameters = WallParameters { echoes: chunk.echoes, ..*parameters };
             context.write(&chunk.buffers["parameters"], bytemuck::bytes_of(&parameters))?;
         }
+        self.levels = parameters.levels();
+        context.write(self.shared("levels"), bytemuck::cast_slice(&self.levels))?;
         self.parameters =
             WallParameters { echoes: self.chunks.first().map_or(0, |chunk| chunk.echoes), ..*parameters };
         Ok(())
     }
 
-    /// Puts a pass into a compute pass, over all chunks where it processes echoes.
+    /// Puts a pass over a grid into a compute pass; where it processes echoes, over all chunks of them.
     fn dispatch(
         &self,
         context: &Context,
-        ready: &ReadyPass,
+        (ready, level): (&ReadyPass, usize),
         compute: &mut wgpu::ComputePass,
     ) -> Result<(), GpuError> {
         let Pass { shader, items, .. } = ready.pass;
         compute.set_pipeline(ready.pipeline.get(&context.device, 0)?);
-        for chunk in &self.chunks {
-            let (parameters, size) = (&self.parameters, shader.workgroup_size);
-            let count = match items {
-                Items::Echoes => chunk.echoes.div_ceil(size),
-                Items::EchoBlocks => chunk.echoes.div_ceil(4096),
-                Items::One => 1,
-                Items::Nodes => parameters.node_count.div_ceil(size),
-                Items::Rings => parameters.rings,
-                Items::Frequencies => frequency_groups(parameters),
-                Items::BlockCoefficients => (parameters.blocks * parameters.nodes).div_ceil(size),
-                Items::Coefficients => parameters.nodes.div_ceil(size),
-            };
+        let mut dispatch = |bind_group: &wgpu::BindGroup, count: u32| {
+            let [x, y] = dispatch_size(count);
             if count > 0 {
-                let [x, y] = dispatch_size(count);
-                compute.set_bind_group(0, &chunk.bind_groups[shader.name], &[]);
+                compute.set_bind_group(0, bind_group, &[]);
                 compute.dispatch_workgroups(x, y, 1);
             }
-            if !matches!(items, Items::Echoes | Items::EchoBlocks) {
-                break;
+        };
+        let of_level = |level: usize| self.levels.get(level).map_or(0, |level| level.count);
+        let count = match items {
+            Items::Echoes | Items::EchoBlocks => {
+                let size = if *items == Items::Echoes { shader.workgroup_size } else { 4096 };
+                for chunk in &self.chunks {
+                    dispatch(&chunk.bind_groups[shader.name], chunk.echoes.div_ceil(size));
+                }
+                return Ok(());
             }
-        }
+            Items::One | Items::CoarseGrids => 1,
+            Items::Nodes => self.parameters.node_count.div_ceil(shader.workgroup_size),
+            Items::LevelNodes | Items::FinerNodes => of_level(level).div_ceil(shader.workgroup_size),
+            Items::CoarserNodes => of_level(level + 1).div_ceil(shader.workgroup_size),
+        };
+        let of_levels = &self.bind_groups[shader.name];
+        dispatch(of_levels.get(level).unwrap_or(&of_levels[0]), count);
         Ok(())
     }
 
-    /// Records passes one after the other, each in a compute pass of its own where `timer` gives timestamps.
+    /// Records passes over grids one after the other, each in a compute pass of its own where `timer` gives timestamps.
     pub(super) fn record<'a>(
         &self,
         context: &Context,
-        passes: impl IntoIterator<Item = &'a ReadyPass>,
+        passes: impl IntoIterator<Item = (&'a ReadyPass, usize)>,
         encoder: &mut wgpu::CommandEncoder,
         timer: &mut Timer,
     ) -> Result<(), GpuError> {
         let mut passes = passes.into_iter().peekable();
-        while let Some(first) = passes.peek() {
+        while let Some((first, _)) = passes.peek() {
             let timestamp_writes = timer(first.pass.shader.name);
             let timed = timestamp_writes.is_some();
             let mut compute = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                 label: Some("lumenmesh wall"),
                 timestamp_writes,
             });
-            for ready in passes.by_ref() {
-                self.dispatch(context, ready, &mut compute)?;
+            for pass in passes.by_ref() {
+                self.dispatch(context, pass, &mut compute)?;
                 if timed {
                     break;
                 }

@@ -12,7 +12,7 @@ pub fn assemble(parameters: &WallParameters, sums: &[Sums], wall: &[f32]) -> (Ve
         .enumerate()
         .map(|(node, sums)| {
             let weight = |part: usize| f32::mean_of(sums[part], parameters.weight_unit, 1);
-            let gradient = bending(parameters, wall, node / nodes, node % nodes);
+            let gradient = bending(&parameters.finest(), wall, node / nodes, node % nodes);
             let residual = f32::mean_of(sums[4], parameters.rhs_unit, 1) - gradient * parameters.per_noise;
             ([weight(0), weight(1), weight(2), weight(3)], residual)
         })

@@ -12,7 +12,7 @@ pub fn assemble_rhs(parameters: &WallParameters, sums: &[Sums], rows: &[[f32; 4]
     (0..wall.len())
         .map(|node| {
             let of_echoes = f32::mean_of(sums[node][4], parameters.rhs_unit, 1);
-            coupled(parameters, rows, &radii, node / nodes, node % nodes) + of_echoes
+            coupled(&parameters.finest(), rows, &radii, node / nodes, node % nodes) + of_echoes
         })
         .collect()
 }

@@ -1,7 +1,7 @@
 //! The gradient of the bending energy (`shaders/sweep/common/bending.wgsl`). In f64 this is
 //! part of `Operator`.
 
-use super::WallParameters;
+use super::Level;
 
 /// The second difference of three values in a row, from first differences: these are exact where neighbours
 /// are alike.
@@ -9,9 +9,9 @@ fn second_difference(a: f32, b: f32, c: f32) -> f32 {
     (c - b) - (b - a)
 }
 
-/// The gradient of λ times the bending energy of `x` at node j of ring k.
-pub fn bending(parameters: &WallParameters, x: &[f32], k: usize, j: usize) -> f32 {
-    let (rings, nodes) = (parameters.rings as usize, parameters.nodes as usize);
+/// The gradient of λ times the bending energy of `x`, the values of a grid, at its node j of ring k.
+pub fn bending(level: &Level, x: &[f32], k: usize, j: usize) -> f32 {
+    let (rings, nodes) = (level.rings as usize, level.nodes as usize);
     let row = k * nodes;
     let after = |j: usize| if j + 1 == nodes { 0 } else { j + 1 };
     let previous = |j: usize| if j == 0 { nodes - 1 } else { j - 1 };
@@ -47,7 +47,7 @@ pub fn bending(parameters: &WallParameters, x: &[f32], k: usize, j: usize) -> f3
             - ((x_above - x[above + before]) - (here - x_before));
     }
     let along = (arch_below - arch) + (arch_above - arch);
-    parameters.along * along + parameters.around * around + parameters.twist * twist
+    level.along * along + level.around * around + level.twist * twist
 }
 
 #[cfg(test)]
@@ -56,23 +56,21 @@ mod tests {
     use crate::sweep::prepare::grid::WallGrid;
     use crate::sweep::wall::bending::LocalSmoothness;
     use crate::sweep::wall::operator::Operator;
+    use crate::sweep::wall::passes::WallParameters;
 
     #[test]
     fn the_bending_is_the_cpu_s() {
         for rings in [3, 4, 7] {
             let grid = WallGrid { rings, nodes: 8, step_mm: 1.3, arc_mm: 0.9 };
-            let parameters = WallParameters::new(rings as u32, 8, 5.0, 0.1).with_smoothness(
-                3.0,
-                grid.step_mm,
-                grid.arc_mm,
-            );
+            let parameters = WallParameters::new([rings as u32, 8], [grid.step_mm, grid.arc_mm], 5.0, 0.1);
+            let level = parameters.with_smoothness(3.0).finest();
             let x: Vec<f32> = (0..8 * rings).map(|i| (0.7 * (i * i) as f32).sin()).collect();
             let mut expected = vec![0.0; x.len()];
             let wide: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
             let no_echoes = Operator::lumped(&grid, vec![0.0; x.len()], 3.0, LocalSmoothness::default());
             no_echoes.apply(&wide, &mut expected);
             for (node, expected) in expected.iter().enumerate() {
-                let found = bending(&parameters, &x, node / 8, node % 8);
+                let found = bending(&level, &x, node / 8, node % 8);
                 // Some thirty roundings of sums of up to 64 numbers of at most 1, times 4.
                 assert!((f64::from(found) - expected).abs() < 1e-5 * 64.0, "{node}: {found} {expected}");
             }

@@ -3,6 +3,8 @@
 
 use crate::numerics::Scalar;
 use crate::numerics::robust::HUBER;
+use crate::sweep::prepare::grid::WallGrid;
+use crate::sweep::wall::multigrid::{RELAXATIONS, coarsened};
 use crate::sweep::wall::residual::{GATE_RADII, GATE_SDS, MAX_PROJECTION_SDS};
 use bytemuck::{Pod, Zeroable};
 use std::f64::consts::TAU;
@@ -23,16 +25,14 @@ pub struct WallParameters {
     pub project: u32,
     /// 1 where far echoes are left out.
     pub gated: u32,
-    /// Blocks of rings of the preconditioner.
-    pub blocks: u32,
-    /// Rings of each block but the last, which has the rest.
-    pub block_rings: u32,
+    /// Distance of two rings, mm.
+    pub step: f32,
+    /// Distance of two nodes of a ring on a tube of the median radius, mm.
+    pub arc: f32,
     /// Radius from which those of the wall and of the echoes are measured, mm.
     pub start: f32,
     /// 2π/N, rad.
     pub step_theta: f32,
-    /// 1/N.
-    pub per_node: f32,
     /// Share of the noise's variance that lies within the image planes only.
     pub in_plane: f32,
     /// σ, mm.
@@ -61,38 +61,41 @@ pub struct WallParameters {
     pub around: f32,
     /// λ times the twist, for each node.
     pub twist: f32,
-    /// Square of the residual at which conjugate gradients stop, in the preconditioner's norm.
-    pub max_residual_square: f32,
-    /// The largest factor of N that is not above its root.
-    pub short_factor: u32,
-    /// The other factor.
-    pub long_factor: u32,
+    /// Square of the share of the right-hand side at which conjugate gradients stop, in the preconditioner's norm.
+    pub tolerance_square: f32,
+    /// Their largest number of steps.
+    pub max_steps: u32,
+    /// Weight of the first and the last relaxation of a grid, those of the CPU's cycle …
+    pub first_relaxation: f32,
+    /// … and of those between.
+    pub second_relaxation: f32,
 }
 
 impl WallParameters {
-    /// A grid of rings and nodes per ring, with radii measured from `start_mm`, and a share `out_of_plane` of
-    /// the noise's variance across the image planes. The noise is still unknown.
-    pub fn new(rings: u32, nodes: u32, start_mm: f64, out_of_plane: f64) -> Self {
+    /// A grid of rings and nodes per ring and the distances of both, with radii measured from `start_mm`, and a share
+    /// `out_of_plane` of the noise's variance across the image planes. The noise is still unknown.
+    pub fn new(
+        [rings, nodes]: [u32; 2],
+        [step_mm, arc_mm]: [f64; 2],
+        start_mm: f64,
+        out_of_plane: f64,
+    ) -> Self {
         // A weight is at most 1/ε, where the image's normal is that of the wall; Huber bounds the weighted
         // residual.
         let weight_scale = f32::fixed_point_scale(1.0 / out_of_plane.min(1.0));
         let rhs_scale = f32::fixed_point_scale(HUBER / out_of_plane.min(1.0).sqrt());
-        let block_rings = block_rings(rings);
-        let short_factor =
-            (1..=nodes.isqrt()).rev().find(|factor| nodes.is_multiple_of(*factor)).unwrap_or(1);
         Self {
             rings,
             nodes,
             node_count: rings * nodes,
-            blocks: (rings / block_rings).max(1),
-            block_rings,
+            step: step_mm as f32,
+            arc: arc_mm as f32,
             start: start_mm as f32,
-            short_factor,
-            long_factor: nodes / short_factor,
             step_theta: (TAU / f64::from(nodes)) as f32,
-            per_node: (1.0 / f64::from(nodes)) as f32,
             in_plane: (1.0 - out_of_plane) as f32,
             gate_radii: GATE_RADII as f32,
+            first_relaxation: RELAXATIONS[0] as f32,
+            second_relaxation: RELAXATIONS[1] as f32,
             weight_scale,
             weight_unit: 1.0 / weight_scale,
             rhs_scale,
@@ -114,9 +117,10 @@ impl WallParameters {
         }
     }
 
-    /// The same with a smoothness λ of `smoothness_mm2`, and rings and nodes at these distances.
+    /// The same with a smoothness λ of `smoothness_mm2`.
     #[must_use]
-    pub fn with_smoothness(self, smoothness_mm2: f64, step_mm: f64, arc_mm: f64) -> Self {
+    pub fn with_smoothness(self, smoothness_mm2: f64) -> Self {
+        let [step_mm, arc_mm] = [self.step, self.arc].map(f64::from);
         let area = smoothness_mm2 * step_mm * arc_mm;
         Self {
             along: (area / step_mm.powi(4)) as f32,
@@ -127,10 +131,76 @@ impl WallParameters {
     }
 }
 
-/// Rings of a block: about as many as there are blocks, since one invocation goes through a block, and one
-/// through the separators of all blocks.
-fn block_rings(rings: u32) -> u32 {
-    rings.isqrt().max(8)
+/// `Level` of the shaders: a grid of the multigrid cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Level {
+    /// Rings.
+    pub rings: u32,
+    /// Nodes per ring.
+    pub nodes: u32,
+    /// Nodes of all rings.
+    pub count: u32,
+    /// Its first node in the buffers that hold the nodes of all grids, the finest first.
+    pub first: u32,
+    /// The number of coarser grids.
+    pub coarser: u32,
+    /// λ times the bending along the axis, for each node.
+    pub along: f32,
+    /// λ times the bending about the axis, for each node.
+    pub around: f32,
+    /// λ times the twist, for each node.
+    pub twist: f32,
+    /// A binding may begin at every 256 bytes.
+    pub unused: [[u32; 28]; 2],
+}
+
+/// Most rings of the coarsest grid.
+pub const MOST_COARSEST: usize = 16;
+
+impl WallParameters {
+    /// The finest grid.
+    pub fn finest(&self) -> Level {
+        let Self { rings, nodes, node_count: count, along, around, twist, .. } = *self;
+        Level { rings, nodes, count, first: 0, coarser: 0, along, around, twist, unused: [[0; 28]; 2] }
+    }
+
+    /// The grids of the multigrid cycle, the finest first: each has half as many rings and nodes as the one before or, where
+    /// these are much closer than the others, half as many of these only; the last is a line of at most
+    /// [`MOST_COARSEST`] rings.
+    pub fn levels(&self) -> Vec<Level> {
+        let grid = WallGrid {
+            rings: self.rings as usize,
+            nodes: self.nodes as usize,
+            step_mm: f64::from(self.step),
+            arc_mm: f64::from(self.arc),
+        };
+        let is_coarsest = |grid: &WallGrid| grid.nodes == 1 && grid.rings <= MOST_COARSEST;
+        let grids: Vec<WallGrid> =
+            std::iter::successors(Some(grid), |grid| (!is_coarsest(grid)).then(|| coarsened(grid))).collect();
+        let mut levels = vec![self.finest()];
+        for pair in grids.windows(2) {
+            let before = levels[levels.len() - 1];
+            // Bending is λ times the area of a cell over a fourth power of distances.
+            let wider = pair[1].step_mm / pair[0].step_mm;
+            let longer = pair[1].arc_mm / pair[0].arc_mm;
+            let times = |bending: f32, factor: f64| (f64::from(bending) * factor) as f32;
+            levels.push(Level {
+                rings: pair[1].rings as u32,
+                nodes: pair[1].nodes as u32,
+                count: pair[1].node_count() as u32,
+                first: before.first + before.count,
+                along: times(before.along, longer / wider.powi(3)),
+                around: times(before.around, wider / longer.powi(3)),
+                twist: times(before.twist, (wider * longer).recip()),
+                ..before
+            });
+        }
+        for (coarser, level) in (0..).zip(levels.iter_mut().rev()) {
+            level.coarser = coarser;
+        }
+        levels
+    }
 }
 
 /// `Echo` of the shaders: an echo in coordinates about the axis.
@@ -157,6 +227,8 @@ pub struct DeviceEcho {
 pub const CONVERGED: u32 = 1;
 /// [`State::done`]: the equations are not positive definite, or hold numbers that are not finite.
 pub const BROKEN: u32 = 2;
+/// [`State::done`]: the steps ran out.
+pub const EXHAUSTED: u32 = 3;
 
 /// `State` of the shaders: values that pass from pass to pass.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
@@ -168,7 +240,7 @@ pub struct State {
     pub rank: u32,
     /// The number of known digits, of four.
     pub digits: u32,
-    /// How conjugate gradients ended: 0 while they go on, [`CONVERGED`] or [`BROKEN`].
+    /// How conjugate gradients ended: 0 while they go on, [`CONVERGED`], [`BROKEN`] or [`EXHAUSTED`].
     pub done: u32,
     /// The number of their steps.
     pub steps: u32,
@@ -178,4 +250,13 @@ pub struct State {
     pub alpha: f32,
     /// β: share of the last direction in the next.
     pub beta: f32,
+    /// Square of the residual at which they end.
+    pub max_residual_square: f32,
+}
+
+impl State {
+    /// Whether there is a solution to go on with.
+    pub fn is_solved(&self) -> bool {
+        self.done == CONVERGED || self.done == EXHAUSTED
+    }
 }

@@ -117,6 +117,10 @@ mod tests {
     const START_MM: f64 = 10.3;
     const NOISE_MM: f64 = 0.8;
 
+    fn parameters() -> WallParameters {
+        WallParameters::new([40, 24], [GRID.step_mm, GRID.arc_mm], START_MM, OUT_OF_PLANE)
+    }
+
     /// A smooth wall, and echoes about it, far beyond its ends too.
     fn wall_and_echoes() -> (Vec<f64>, Vec<OnCpu>) {
         let radius = |node: usize| {
@@ -155,8 +159,7 @@ mod tests {
     fn projections_and_residuals_are_the_cpu_s() {
         let (radii, mut echoes) = wall_and_echoes();
         let wall: Vec<f32> = radii.iter().map(|r| (r - START_MM) as f32).collect();
-        let parameters = WallParameters { project: 1, ..WallParameters::new(40, 24, START_MM, OUT_OF_PLANE) }
-            .with_noise(NOISE_MM);
+        let parameters = WallParameters { project: 1, ..parameters() }.with_noise(NOISE_MM);
         let mut shifts = vec![[0.0_f32; 2]; echoes.len()];
         // Projections that have moved, too. After rounding, some lie on the neighbouring triangle: the wall is the
         // same there, but not its slope.
@@ -195,8 +198,7 @@ mod tests {
         let (radii, echoes) = wall_and_echoes();
         let wall: Vec<f32> = radii.iter().map(|r| (r - START_MM) as f32).collect();
         for gated in [0, 1] {
-            let parameters = WallParameters { gated, ..WallParameters::new(40, 24, START_MM, OUT_OF_PLANE) }
-                .with_noise(NOISE_MM / 4.0);
+            let parameters = WallParameters { gated, ..parameters() }.with_noise(NOISE_MM / 4.0);
             let mut sums = vec![[0; 5]; GRID.node_count()];
             let mut expected = Equations::over(&GRID, 0..GRID.rings);
             for mut echo in echoes.iter().copied() {
