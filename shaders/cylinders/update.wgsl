@@ -64,7 +64,9 @@ fn main(
         let ring = strip / strips_of_ring;
         let place = (strip - ring * strips_of_ring) * (width - 2u) + column;
         let takes_part = own_strip < strips_here && strip < strips && place < nodes + 2u;
-        let j = (place + nodes - 2u) % nodes;
+        // Less than twice the nodes where the invocation takes part.
+        let turned = place + nodes - 2u;
+        let j = select(turned, turned - nodes, turned >= nodes);
         let next = select(j + 1u, 0u, j + 1u == nodes);
         let has_below = takes_part && ring > 0u;
         let has_above = takes_part && ring < levels;
@@ -73,6 +75,12 @@ fn main(
         var above = 0.0;
         var next_above = 0.0;
         // Read before the barriers, since reading takes longest.
+        let is_node = takes_part && column >= 2u;
+        let node = cylinder * parameters.node_count + ring * nodes + j;
+        var radius = 0.0;
+        if (is_node) {
+            radius = radii[node];
+        }
         var own_below = NO_VALUE;
         var own_above = NO_VALUE;
         if (has_below) {
@@ -83,7 +91,8 @@ fn main(
             own_above = triangle_values[top + ring * nodes + j];
             above = bottom_of(bottom, top, ring, j, next);
         }
-        if (has_next) {
+        // Only an empty triangle asks for its neighbour.
+        if (has_next && own_above == NO_VALUE) {
             next_above = bottom_of(bottom, top, ring + 1u, j, next);
         }
         bottom_below[local] = below;
@@ -97,7 +106,7 @@ fn main(
             top_above[local] = top_value(own_above, above, bottom_above[left], next_above, has_next);
         }
         workgroupBarrier();
-        if (takes_part && column >= 2u) {
+        if (is_node) {
             var travel = 0.0;
             if (has_below) {
                 travel = top_below[left] + bottom_below[left] + top_below[local];
@@ -107,7 +116,7 @@ fn main(
                 travel = select(beside, travel + beside, has_below) + top_above[local] + above;
             }
             travel = travel / select(3.0, 6.0, has_below && has_above);
-            radii[cylinder * parameters.node_count + ring * nodes + j] += travel;
+            radii[node] = radius + travel;
             sum = add_wide(sum, widen(fixed(abs(travel), scale)));
         }
         workgroupBarrier();

@@ -8,8 +8,8 @@ use crate::sections::{RADIUS_MM, seeded, wall};
 use lumenmesh::cylinders::{CpuEngine, Engine, Tube};
 use lumenmesh::low_level::cylinders::gpu::LANES;
 use lumenmesh::low_level::cylinders::passes::{
-    Face, Filter, FitParameters, LIST_HEAD, TriangleStatistic, TubeGrid, distance, listed_faces, measure_long,
-    measure_short,
+    Face, Filter, FitParameters, LIST_HEAD, TriangleStatistic, TubeGrid, distance, listed_faces,
+    measure_long, measure_short,
 };
 use lumenmesh::settings::{Outliers, Settings, Statistic};
 use rand::RngExt;

@@ -66,10 +66,7 @@ type Vector<T> = [T; 3];
 fn normals<T: Scalar>([b, b_above, a_above]: [T; 3], grid: &TubeGrid<T>) -> [Vector<T>; 2] {
     let TubeGrid { step_theta: theta, step_z: z, .. } = *grid;
     let along_r = theta * z;
-    [
-        [along_r, -(b * z), theta * (b - b_above)],
-        [along_r, z * (a_above - b_above), -(theta * a_above)],
-    ]
+    [[along_r, -(b * z), theta * (b - b_above)], [along_r, z * (a_above - b_above), -(theta * a_above)]]
 }
 
 /// The square of a vector's length.

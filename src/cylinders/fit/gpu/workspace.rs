@@ -229,7 +229,7 @@ const SHARED_FACE: u64 = 2048;
 const MOST_WINDOWS: u32 = 64;
 
 /// Most workgroups of `update` in all: each adds to the two words of its cylinder's travel once.
-const MOST_UPDATE_GROUPS: u32 = 1024;
+const MOST_UPDATE_GROUPS: u32 = 2048;
 
 /// The number of workgroups that take so many long faces, or blocks of others, in turn: enough to fill a GPU,
 /// and a few per thread on software, where even an idle workgroup costs microseconds.
