@@ -7,7 +7,7 @@ use crate::sweep_passes::{device, echoes, parameters};
 use lumenmesh::gpu::Requirements;
 use lumenmesh::low_level::sweep::gpu::GpuWallEngine;
 use lumenmesh::recording::Recording;
-use lumenmesh::settings::{Backend, Settings};
+use lumenmesh::settings::{Backend, Settings, SweepSettings};
 use lumenmesh::simulate::{self, Phantom, Shape, Simulation};
 use lumenmesh::sweep::Sweep;
 use rand::seq::SliceRandom;
@@ -76,6 +76,25 @@ fn a_device_with_little_room_sweeps_the_same_bits_chunk_by_chunk() {
     assert_eq!(in_chunks.support.echoes, whole.support.echoes);
     assert_eq!(in_chunks.support.supported, whole.support.supported);
     assert_eq!(in_chunks.report.noise_mm, whole.report.noise_mm);
+}
+
+#[test]
+fn memory_that_a_larger_wall_left_changes_nothing() {
+    let Some(device) = device() else { return };
+    let recording = stenosis();
+    let adapter = device.engine.adapter().unwrap().name.clone();
+    let sweep = |engine: &GpuWallEngine, nodes| {
+        let settings = Settings::default().with_sweep(SweepSettings::default().with_nodes(Some(nodes)));
+        Sweep::on_device(&recording, &settings, engine).unwrap()
+    };
+    let [used, fresh] = [(); 2].map(|()| GpuWallEngine::new(Some(&adapter)).unwrap());
+    let larger = sweep(&used, 66);
+    let found = sweep(&used, 64);
+    let expected = sweep(&fresh, 64);
+    assert!(larger.radii_mm.len() > found.radii_mm.len());
+    assert_eq!(found.radii_mm, expected.radii_mm);
+    assert_eq!(found.support.standard_error_mm, expected.support.standard_error_mm);
+    assert_eq!(found.report.solver_steps, expected.report.solver_steps);
 }
 
 #[test]

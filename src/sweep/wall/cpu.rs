@@ -67,15 +67,10 @@ impl WallEngine for CpuWallEngine<'_> {
         let before = radii_mm.clone();
         let system = System::plain(&equations, reweighting.smoothness_mm2);
         let solved = solve(self.grid, &system, reweighting.tolerance, MAX_STEPS, radii_mm)?;
-        let of_task = |((before, after), rows): ((&[f64], &[f64]), &[[f64; 5]])| {
-            let travels = before.iter().zip(after).map(|(a, b)| (a - b).abs());
-            travels
-                .zip(rows)
-                .fold([0.0; 2], |[travel, weight], (t, row)| [travel + row[0] * t, weight + row[0]])
-        };
-        let (before, after) = (before.par_chunks(TASK), radii_mm.par_chunks(TASK));
+        let tasks =
+            before.par_chunks(TASK).zip(radii_mm.par_chunks(TASK)).zip(equations.rows().par_chunks(TASK));
         let parts: Vec<[f64; 2]> =
-            before.zip(after).zip(equations.rows().par_chunks(TASK)).map(of_task).collect();
+            tasks.map(|((before, after), rows)| travels(before, after, rows)).collect();
         let [travel, weight] =
             parts.iter().fold([0.0; 2], |[a, b], [travel, weight]| [a + travel, b + weight]);
         let residual_mm = self.measure(reweighting.noise_mm, reweighting.project)?;
@@ -85,4 +80,10 @@ impl WallEngine for CpuWallEngine<'_> {
     fn finish(self) -> Result<Vec<f64>> {
         Ok(self.wall.radii_mm)
     }
+}
+
+/// The sums of the weighted distances that nodes travel, mm, and of their weights: the diagonal of the equations.
+fn travels(before_mm: &[f64], after_mm: &[f64], rows: &[[f64; 5]]) -> [f64; 2] {
+    let travels = before_mm.iter().zip(after_mm).map(|(a, b)| (a - b).abs());
+    travels.zip(rows).fold([0.0; 2], |[travel, weight], (t, row)| [travel + row[0] * t, weight + row[0]])
 }

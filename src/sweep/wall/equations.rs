@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Nodes per parallel task of a sum.
-const TASK_NODES: usize = 4096;
+const TASK_NODES: usize = 1024;
 /// Stiffness of fixed nodes, in units of the largest other one.
 const FIXED_STIFFNESS: f64 = 1e6;
 

@@ -22,7 +22,7 @@ pub(super) const RELAXATIONS: [f64; 2] = [0.286_743, 0.987_578];
 /// Added to the diagonal of the coarsest grid, in units of the largest one, so that a wall without echoes has a solution.
 const FLOOR: f64 = 1e-12;
 /// Nodes per parallel task of a transfer between grids.
-const TASK_NODES: usize = 8192;
+const TASK_NODES: usize = 2048;
 
 /// The grids, from the finest on.
 pub(super) struct Multigrid<'a> {

@@ -6,7 +6,7 @@ use crate::sweep::prepare::grid::WallGrid;
 use rayon::prelude::*;
 
 /// Nodes per parallel task: fewer do not pay for a thread.
-const TASK_NODES: usize = 4096;
+const TASK_NODES: usize = 1024;
 
 /// The couplings of weighted echoes plus λ times those of the bending energy `½ ∫ r_ss² + 2 r_sθ² + r_θθ² dA`.
 ///

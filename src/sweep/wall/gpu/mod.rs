@@ -23,6 +23,9 @@ use std::time::Instant;
 const USUAL_STEPS: usize = 10;
 const MOST_STEPS: usize = 32;
 
+/// Stages that are recorded before the device begins with them: some three steps of the solver.
+const STAGES_PER_SUBMISSION: usize = 40;
+
 /// Echoes or nodes that a thread reads at a time.
 const PIECE: usize = 8192;
 
@@ -340,7 +343,13 @@ impl OnDevice<'_> {
                 workspace.record(context, engine.passes(equations), encoder, timer)?;
                 encoder.copy_buffer_to_buffer(product, 0, rights, 0, Some(4 * u64::from(nodes)));
             }
-            workspace.record(context, engine.passes(stages), encoder, timer)
+            for stages in stages.chunks(STAGES_PER_SUBMISSION) {
+                // The device begins with what is recorded while the CPU records what follows.
+                let next = context.device.create_command_encoder(&Default::default());
+                context.queue.submit([std::mem::replace(encoder, next).finish()]);
+                workspace.record(context, engine.passes(stages), encoder, timer)?;
+            }
+            Ok(())
         };
         let read = |views: &[&[u8]]| {
             (bytemuck::pod_read_unaligned(views[0]), bytemuck::pod_collect_to_vec(views[1]))
