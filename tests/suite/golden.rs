@@ -260,17 +260,12 @@ fn distances_of(
     top: bool,
 ) -> (Vec<f64>, bool) {
     let [a, b, b_above, a_above] = corners.map(|c| radii[c]);
-    let face_of = |db: f64, dc: f64, dd: f64| Face {
-        b: b - a + db,
-        b_above: b_above - a + dc,
-        a_above: a_above - a + dd,
-        step_theta: grid.step_theta,
-        step_z: grid.step_z,
-    };
+    let face_of =
+        |db: f64, dc: f64, dd: f64| Face::new([b - a + db, b_above - a + dc, a_above - a + dd], grid);
     let (mut distances, mut turns) = (Vec::new(), false);
     for &[r, theta, z] in groups.of_face(face) {
         let p = [r - a, theta, z];
-        let (d, nearer_top) = distance(p, &face_of(0.0, 0.0, 0.0));
+        let (d, nearer_top) = distance(p, &face_of(0.0, 0.0, 0.0), grid);
         if nearer_top == top {
             distances.push(d);
         }
@@ -281,7 +276,7 @@ fn distances_of(
             let p =
                 [p[0] + sign(0) * reach, p[1] + sign(1) * ANGLE_BOUND_RAD, p[2] + sign(2) * POINT_BOUND_MM];
             let [db, dc, dd] = [sign(3), sign(4), sign(5)].map(|s| s * 2.0 * off);
-            distance(p, &face_of(db, dc, dd)).1 != nearer_top
+            distance(p, &face_of(db, dc, dd), grid).1 != nearer_top
         });
     }
     (distances, turns)

@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec2, DVec3};
 use lumenmesh::cylinders::estimate::LocalEstimate;
 use lumenmesh::cylinders::merge::MergedVessel;
-use lumenmesh::cylinders::{CpuEngine, Engine, FitRequest, FittedCylinder, Track, merged_frames};
+use lumenmesh::cylinders::{CpuEngine, Engine, FitRequest, FittedCylinder, Track, Tube, merged_frames};
 use lumenmesh::cylinders::{CylinderReconstruction, write_cylinders};
 use lumenmesh::evaluate::Truth;
 use lumenmesh::geometry::Pose;
