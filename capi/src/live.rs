@@ -46,6 +46,16 @@ pub struct LumenmeshChange {
     pub off_axis: i32,
     /// 1 where the vessel began anew.
     pub restarted: i32,
+    /// How long the frame took, s of wall-clock time: judging whether it is fit for use;
+    pub screening_s: f64,
+    /// drawing the axis of a swept vessel anew, and placing older echoes about it;
+    pub axis_s: f64,
+    /// placing the frame and its echoes;
+    pub placing_s: f64,
+    /// solving for the wall, or fitting a cylinder;
+    pub solving_s: f64,
+    /// all of it.
+    pub total_s: f64,
 }
 
 impl State {
@@ -61,6 +71,11 @@ impl State {
             waiting: change.waiting,
             off_axis: i32::from(change.off_axis),
             restarted: i32::from(change.restarted),
+            screening_s: change.times.screening_s,
+            axis_s: change.times.axis_s,
+            placing_s: change.times.placing_s,
+            solving_s: change.times.solving_s,
+            total_s: change.times.total_s,
         }
     }
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any
 
@@ -242,6 +242,22 @@ def _lumen(
 
 
 @dataclass(frozen=True, slots=True)
+class Times:
+    """How long the stages of a frame took, in seconds of wall-clock time."""
+
+    screening_s: float
+    """Judging whether the frame is fit for use."""
+    axis_s: float
+    """Drawing the axis of a swept vessel anew, and placing older echoes about it."""
+    placing_s: float
+    """Placing the frame and its echoes."""
+    solving_s: float
+    """Solving for the wall, or fitting a cylinder."""
+    total_s: float
+    """All of the frame."""
+
+
+@dataclass(frozen=True, slots=True)
 class Change:
     """What a frame changed. Rings are numbered along the vessel; ring k has the nodes from k * live.nodes on."""
 
@@ -261,11 +277,14 @@ class Change:
     """Frames that jump off the path of the others and wait for later ones to decide."""
     restarted: bool
     """Whether the vessel began anew."""
+    times: Times = field(compare=False)
+    """How long that took; changes are equal if all else is."""
 
 
-def _change(values: tuple[int, int, list[tuple[int, int]], int, bool, str, int, bool]) -> Change:
-    frame, before, changed, rings, off_axis, left_out, waiting, restarted = values
-    return Change(frame, before, changed, rings, off_axis, json.loads(left_out), waiting, restarted)
+def _change(values: native._Change) -> Change:
+    frame, before, changed, rings, off_axis, left_out, waiting, restarted, times = values
+    frames = [] if left_out == "[]" else json.loads(left_out)
+    return Change(frame, before, changed, rings, off_axis, frames, waiting, restarted, Times(*times))
 
 
 class Live:

@@ -20,7 +20,7 @@ __version__: str
 
 class Error(ValueError): ...
 
-_Change = tuple[int, int, list[tuple[int, int]], int, bool, str, int, bool]
+_Change = tuple[int, int, list[tuple[int, int]], int, bool, str, int, bool, Sequence[float]]
 _Path = str | PathLike[str]
 
 @final

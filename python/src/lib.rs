@@ -274,13 +274,15 @@ fn simulate(
     Ok((NativeRecording(simulation.recording), NativeMesh(wall)))
 }
 
-/// What a frame changed, as a dictionary would name it: frame, before, changed, rings, off_axis, left_out (JSON), waiting,
-/// restarted.
-type ChangeTuple = (usize, usize, Vec<(usize, usize)>, usize, bool, String, usize, bool);
+/// What a frame changed: frame, before, changed, rings, off_axis, left_out (JSON), waiting, restarted, times (of screening,
+/// axis, placing, solving, and in all, s).
+type ChangeTuple = (usize, usize, Vec<(usize, usize)>, usize, bool, String, usize, bool, [f64; 5]);
 
 fn change_tuple(change: CoreChange) -> PyResult<ChangeTuple> {
     let ranges = change.changed.iter().map(|range| (range.start, range.end)).collect();
-    let left_out = json(&change.left_out)?;
+    // Most frames leave none out.
+    let left_out = if change.left_out.is_empty() { "[]".into() } else { json(&change.left_out)? };
+    let times = change.times;
     Ok((
         change.frame,
         change.before,
@@ -290,6 +292,7 @@ fn change_tuple(change: CoreChange) -> PyResult<ChangeTuple> {
         left_out,
         change.waiting,
         change.restarted,
+        [times.screening_s, times.axis_s, times.placing_s, times.solving_s, times.total_s],
     ))
 }
 

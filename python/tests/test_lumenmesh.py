@@ -124,6 +124,9 @@ def test_live_grows_and_tells_what_changed(simulated):
         for first, end in change.changed:
             part = live.part(first, end).vertices.reshape(end - first, live.nodes, 3)
             followed[first:end] = list(part)
+    times = change.times
+    parts = [times.screening_s, times.axis_s, times.placing_s, times.solving_s]
+    assert min(parts) >= 0 and 0 < sum(parts) <= times.total_s
     assert change.frame == len(recording) - 1 and live.flush().left_out == []
     # Rings that did not change keep the noise of their time, which the radii are corrected for.
     assert np.allclose(np.concatenate(followed), live.surface().vertices, atol=0.02)

@@ -9,6 +9,7 @@ use crate::recording::Frame;
 use crate::settings::{Merge, Settings};
 use crate::{Error, Result};
 use std::ops::Range;
+use std::time::Instant;
 
 /// Newest frames that are kept within [`REST_MM`] of a frame's centre; older ones are dropped.
 pub(crate) const MAX_FRAMES_AT_REST: usize = 512;
@@ -35,6 +36,9 @@ pub(crate) struct Step {
     pub echoes: usize,
     /// Rings whose radii were computed.
     pub rings: usize,
+    /// Times of placing the frame, and of fitting and stitching, s.
+    pub placing_s: f64,
+    pub solving_s: f64,
 }
 
 impl LiveCylinders {
@@ -65,19 +69,21 @@ impl LiveCylinders {
             self.track.push(&Frame::new(self.pose, Vec::new()))?;
             return Ok(Step::default());
         };
+        let start = Instant::now();
         self.pose = frame.world_from_sensor;
         self.track.push(frame)?;
         self.track.drop_oldest_near(REST_MM, MAX_FRAMES_AT_REST);
+        let mut step = Step { placing_s: start.elapsed().as_secs_f64(), ..Step::default() };
         if frame.echoes_mm().next().is_none() {
-            return Ok(Step::default());
+            return Ok(step);
         }
         self.seen += 1;
         if !self.seen.is_multiple_of(self.settings.every as usize) {
-            return Ok(Step::default());
+            return Ok(step);
         }
+        let start = Instant::now();
         let count = self.track.len();
         let fitted = self.engine.fit(&FitRequest::new(&self.track, &[count - 1], &self.settings))?.cylinders;
-        let mut step = Step::default();
         let mut first = self.vessel.rings.len();
         for cylinder in &fitted {
             first = first.min(self.vessel.stitch(cylinder, &cylinder.tube.radii_mm));
@@ -85,6 +91,7 @@ impl LiveCylinders {
             step.rings += cylinder.tube.tube.levels + 1;
         }
         step.changed.push(first..self.vessel.rings.len());
+        step.solving_s = start.elapsed().as_secs_f64();
         Ok(step)
     }
 }

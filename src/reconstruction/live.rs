@@ -30,6 +30,7 @@ use crate::sweep::LiveSweep;
 use crate::{Error, Result};
 use serde::Serialize;
 use std::ops::Range;
+use std::time::Instant;
 
 /// A vessel that grows frame by frame.
 ///
@@ -62,7 +63,9 @@ impl Vessel {
 }
 
 /// What a frame changed. Rings are numbered along the vessel; ring k has the nodes from k times [`Live::nodes`] on.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+///
+/// Two changes are equal if all but their [`times`](Self::times) are: the same frames make equal changes on every machine.
+#[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub struct Change {
     /// The frame's number: how many were taken before it.
@@ -83,9 +86,24 @@ pub struct Change {
     pub waiting: usize,
     /// Whether the vessel began anew, because what was shown before came from frames that are left out now. All rings are new.
     pub restarted: bool,
-    /// What it took.
+    /// How much was computed.
     pub work: Work,
+    /// How long that took.
+    pub times: Times,
 }
+
+impl PartialEq for Change {
+    fn eq(&self, other: &Self) -> bool {
+        let Self { frame, before, changed, rings, off_axis, left_out, waiting, restarted, work, times: _ } =
+            self;
+        let others = (&other.frame, &other.before, &other.changed, &other.rings, &other.off_axis);
+        (frame, before, changed, rings, off_axis) == others
+            && (left_out, waiting, restarted, work)
+                == (&other.left_out, &other.waiting, &other.restarted, &other.work)
+    }
+}
+
+impl Eq for Change {}
 
 impl Change {
     /// Adds what another frame changed after this.
@@ -124,6 +142,22 @@ pub struct Work {
     pub rings: usize,
 }
 
+/// How long the stages of a frame took, in seconds of wall-clock time.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[non_exhaustive]
+pub struct Times {
+    /// Judging whether the frame is fit for use.
+    pub screening_s: f64,
+    /// Drawing the axis of a swept vessel anew, and placing older echoes about it; 0 of cylinders.
+    pub axis_s: f64,
+    /// Placing the frame and its echoes; of cylinders also the estimate of the frame's cylinder.
+    pub placing_s: f64,
+    /// Solving for the wall, or fitting a cylinder and stitching it to the vessel.
+    pub solving_s: f64,
+    /// All of the frame.
+    pub total_s: f64,
+}
+
 impl Live {
     /// Frames that a cylinder looks at in one place, the newest: within [`REST_MM`](Self::REST_MM) of a frame's centre
     /// older ones are forgotten.
@@ -157,6 +191,7 @@ impl Live {
     /// [`Error::Frame`] where the frame is unfit and the settings refuse it, or it has a [defect](Frame::defects) and they
     /// keep unfit frames: the vessel is then as before. Also where the device fails.
     pub fn push(&mut self, frame: &Frame) -> Result<Change> {
+        let start = Instant::now();
         let number = self.frames;
         let frame = self.settings.conventions.apply_to(frame);
         let judged = match self.settings.unfit_frames {
@@ -167,7 +202,7 @@ impl Live {
             _ => self.screening.push(&frame),
         };
         self.frames += 1;
-        self.take(number, judged)
+        self.take(number, judged, start)
     }
 
     /// Ends the waiting for frames that jump off the path of the others: they are left out. After the last frame.
@@ -175,13 +210,16 @@ impl Live {
     /// # Errors
     /// As [`push`](Self::push).
     pub fn flush(&mut self) -> Result<Change> {
+        let start = Instant::now();
         let judged = self.screening.flush();
-        self.take(self.frames.saturating_sub(1), judged)
+        self.take(self.frames.saturating_sub(1), judged, start)
     }
 
-    fn take(&mut self, number: usize, judged: Judged) -> Result<Change> {
+    /// Takes the frames that are judged; their screening began at `start`.
+    fn take(&mut self, number: usize, judged: Judged, start: Instant) -> Result<Change> {
         let Judged { restart, frames, left_out } = judged;
         let mut change = Change { frame: number, restarted: restart, left_out, ..Change::default() };
+        change.times.screening_s = start.elapsed().as_secs_f64();
         if restart {
             self.vessel = Vessel::new(&self.settings)?;
         }
@@ -191,6 +229,8 @@ impl Live {
                     Ok(step) => {
                         let work = Work { echoes: step.echoes, rings: step.rings };
                         change.add(0, step.changed, false, work);
+                        change.times.placing_s += step.placing_s;
+                        change.times.solving_s += step.solving_s;
                     }
                     Err(error) => change.left_out.push(LeftOut::because(error, Reason::NoCylinder)?),
                 },
@@ -199,6 +239,9 @@ impl Live {
                     let step = sweep.push(number, frame)?;
                     let work = Work { echoes: step.echoes, rings: step.rings };
                     change.add(step.before, step.changed, step.off_axis, work);
+                    change.times.axis_s += step.axis_s;
+                    change.times.placing_s += step.placing_s;
+                    change.times.solving_s += step.solving_s;
                 }
             }
         }
@@ -208,6 +251,7 @@ impl Live {
         }
         change.tidy(self.rings());
         change.waiting = self.screening.waiting();
+        change.times.total_s = start.elapsed().as_secs_f64();
         let unfit = change.left_out.iter().find(|one| one.reason.is_unfit());
         match unfit.filter(|_| self.settings.unfit_frames == UnfitFrames::Refuse) {
             Some(unfit) => Err(unfit.clone().into_error()),

@@ -4,7 +4,7 @@
 
 mod live;
 
-pub use live::{Change, Live, Work};
+pub use live::{Change, Live, Times, Work};
 
 use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, engine};
 use crate::recording::{Recording, Screened, Screening};

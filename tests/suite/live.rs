@@ -182,6 +182,30 @@ fn a_catheter_at_rest_costs_no_more_as_time_goes_by() {
 }
 
 #[test]
+fn the_stages_of_a_frame_take_its_time() {
+    let recording = simulated("arch", to_and_fro(), 2).recording;
+    for settings in [cylinders(), sweep()] {
+        let changes = || {
+            let mut live = Live::new(&settings).unwrap();
+            recording.frames.iter().map(|frame| live.push(frame).unwrap()).collect::<Vec<_>>()
+        };
+        let (once, again) = (changes(), changes());
+        assert_eq!(once, again, "equal whatever the times");
+        assert_ne!(once[..100], again[1..101]);
+        assert!(once.iter().zip(&again).any(|(a, b)| a.times != b.times));
+        let mut sums = [0.0; 4];
+        for times in once.iter().map(|change| change.times) {
+            let stages = [times.screening_s, times.axis_s, times.placing_s, times.solving_s];
+            assert!(stages.iter().all(|stage| *stage >= 0.0), "{times:?}");
+            assert!(stages.iter().sum::<f64>() <= times.total_s, "{times:?}");
+            sums.iter_mut().zip(stages).for_each(|(sum, stage)| *sum += stage);
+        }
+        let has_axis = settings.method == Method::Sweep;
+        assert_eq!(sums.map(|sum| sum > 0.0), [true, has_axis, true, true]);
+    }
+}
+
+#[test]
 fn a_refused_frame_leaves_everything_as_it_was() {
     let recording = simulated("cylinder", Insertion::steady(), 6).recording;
     for settings in [cylinders(), sweep()] {

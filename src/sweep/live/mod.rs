@@ -27,6 +27,7 @@ use glam::{DVec2, DVec3};
 use running_median::RunningMedian;
 use std::f64::consts::TAU;
 use std::ops::Range;
+use std::time::Instant;
 use vessel::{GrowingVessel, PlacedFrame, Step};
 
 /// Largest number of frames that wait until the contours cover a lumen's radius of the vessel; beyond it every second one
@@ -111,6 +112,7 @@ impl LiveSweep {
         if radius_mm <= 0.0 || centres.is_empty() || low.distance(high) < START_RADII * radius_mm {
             return Ok(Step::default());
         }
+        let start = Instant::now();
         let Some(curve) = centreline(&centres, radius_mm)? else { return Ok(Step::default()) };
         let length_mm = lengths(&curve).last().copied().unwrap_or(0.0);
         let contours_mm: Vec<&[DVec2]> =
@@ -124,7 +126,8 @@ impl LiveSweep {
         };
         let curve = Curve::along(&curve, &centres, radius_mm);
         let mut vessel = GrowingVessel::along(curve, nodes, step_mm, radius_mm, &self.settings);
-        let step = vessel.start(&self.waiting)?;
+        let axis_s = start.elapsed().as_secs_f64();
+        let step = Step { axis_s, ..vessel.start(&self.waiting)? };
         self.waiting = Vec::new();
         self.vessel = Some(vessel);
         Ok(step)

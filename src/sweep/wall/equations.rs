@@ -69,6 +69,21 @@ impl Equations {
         self.rows.as_flattened_mut().iter_mut().for_each(|x| *x *= factor);
     }
 
+    /// Changes the values of all points as those of a surface through them change: by `shift` at the nodes that are covered.
+    pub(in crate::sweep) fn shift(&mut self, shift: &[f64], nodes: usize) {
+        for n in 0..self.rows.len() {
+            let next = if (n + 1).is_multiple_of(nodes) { n + 1 - nodes } else { n + 1 };
+            let [own, couplings @ .., _] = self.rows[n];
+            self.rows[n][4] += own * shift[n];
+            for (m, coupling) in [next, n + nodes, next + nodes].into_iter().zip(couplings) {
+                if coupling != 0.0 {
+                    self.rows[n][4] += coupling * shift[m];
+                    self.rows[m][4] += coupling * shift[n];
+                }
+            }
+        }
+    }
+
     /// Shifts node numbers by `nodes` new nodes in front.
     pub(in crate::sweep) fn renumber(&mut self, nodes: usize) {
         self.first += nodes;
@@ -122,5 +137,30 @@ mod tests {
         whole.add(&corners, 2.0, 3.0);
         assert_eq!(parts.rows, whole.rows);
         assert_eq!(Equations::sum(&GRID, &[some]).rows, whole.rows);
+    }
+
+    #[test]
+    fn values_follow_a_surface_that_moves() {
+        let at = |corners: &Corners, values: &[f64]| -> f64 {
+            corners.nodes.iter().zip(corners.weights).map(|(n, w)| values[n - 2 * GRID.nodes] * w).sum()
+        };
+        let shift: Vec<f64> = (0..3 * GRID.nodes).map(|n| (n as f64).sin()).collect();
+        let [mut shifted, mut expected] = [0; 2].map(|_| Equations::over(&GRID, 2..5));
+        for (ring, node, weight) in [(2.6, 7.5, 2.0), (2.2, 7.9, 1.0), (3.3, 0.2, 0.5), (3.9, 4.4, 1.5)] {
+            let corners = GRID.corners(ring, node);
+            shifted.add(&corners, weight, 3.0);
+            expected.add(&corners, weight, 3.0 + at(&corners, &shift));
+        }
+        let apart = |a: &Equations, b: &Equations| {
+            a.rows
+                .iter()
+                .flatten()
+                .zip(b.rows.iter().flatten())
+                .map(|(a, b)| (a - b).abs())
+                .fold(0.0, f64::max)
+        };
+        assert!(apart(&shifted, &expected) > 0.1);
+        shifted.shift(&shift, GRID.nodes);
+        assert!(apart(&shifted, &expected) < 1e-12);
     }
 }
