@@ -22,8 +22,10 @@
 //! # Ok::<(), lumenmesh::Error>(())
 //! ```
 
+use super::{Lumen, Reconstructor};
 use crate::cylinders::live::{LiveCylinders, MAX_FRAMES_AT_REST, REST_MM};
-use crate::recording::{Frame, Judged, LeftOut, LiveScreening, Reason};
+use crate::cylinders::{Engine, engine};
+use crate::recording::{Frame, Judged, LeftOut, LiveScreening, Reason, Recording};
 use crate::settings::{Backend, Method, Settings, UnfitFrames};
 use crate::surface::Surface;
 use crate::sweep::LiveSweep;
@@ -39,13 +41,15 @@ use std::time::Instant;
 /// [`MAX_FRAMES_AT_REST`](Self::MAX_FRAMES_AT_REST) frames anywhere. With `sweep` it comes near to
 /// [`Sweep::of`](crate::sweep::Sweep::of), which looks at all echoes at once.
 pub struct Live {
-    settings: Settings,
-    frames: usize,
-    screening: LiveScreening,
-    vessel: Vessel,
+    pub(super) settings: Settings,
+    pub(super) frames: usize,
+    /// All frames, for [`finish`](Self::finish), where they are kept.
+    pub(super) kept: Option<Recording>,
+    pub(super) screening: LiveScreening,
+    pub(super) vessel: Vessel,
 }
 
-enum Vessel {
+pub(super) enum Vessel {
     Cylinders(Box<LiveCylinders>),
     Sweep(Box<LiveSweep>),
 }
@@ -53,12 +57,22 @@ enum Vessel {
 impl Vessel {
     fn new(settings: &Settings) -> Result<Self> {
         Ok(match settings.method {
-            Method::Cylinders => Vessel::Cylinders(Box::new(LiveCylinders::new(settings)?)),
+            Method::Cylinders => {
+                Vessel::Cylinders(Box::new(LiveCylinders::new(settings, engine(settings)?)?))
+            }
             Method::Sweep => {
                 check_sweep(settings)?;
                 Vessel::Sweep(Box::new(LiveSweep::new(settings)))
             }
         })
+    }
+
+    /// Forgets all frames; the engine stays.
+    fn reset(&mut self) {
+        match self {
+            Vessel::Cylinders(cylinders) => cylinders.reset(),
+            Vessel::Sweep(sweep) => sweep.reset(),
+        }
     }
 }
 
@@ -172,17 +186,64 @@ impl Live {
     /// blended cylinders, a sweep's corrections of the tracker, or its fit on a device.
     pub fn new(settings: &Settings) -> Result<Self> {
         settings.validate()?;
-        let vessel = Vessel::new(settings)?;
-        Ok(Self { settings: settings.clone(), frames: 0, screening: LiveScreening::default(), vessel })
+        Ok(Self::of(settings, Vessel::new(settings)?))
+    }
+
+    /// As [`new`](Self::new) for the method `cylinders`, whose fits an engine of the host's computes, such as a `GpuEngine` on
+    /// the host's own device.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new), and where the settings have another method: a live sweep has no engine to choose.
+    pub fn with_engine(settings: &Settings, engine: Box<dyn Engine>) -> Result<Self> {
+        settings.validate()?;
+        if settings.method != Method::Cylinders {
+            return Err(Error::setting("method", "sweep", "cylinders for an engine of the host's"));
+        }
+        Ok(Self::of(settings, Vessel::Cylinders(Box::new(LiveCylinders::new(settings, engine)?))))
+    }
+
+    fn of(settings: &Settings, vessel: Vessel) -> Self {
+        let screening = LiveScreening::default();
+        Self { settings: settings.clone(), frames: 0, kept: None, screening, vessel }
+    }
+
+    /// Keeps all frames from now on, for [`finish`](Self::finish): 16 bytes for each point of a contour, and some 200 more for
+    /// each frame. Without this, memory grows with the vessel's length only.
+    ///
+    /// # Errors
+    /// [`Error::Recording`] where frames have come already.
+    pub fn keep_frames(&mut self) -> Result<()> {
+        if self.kept.is_none() && self.frames > 0 {
+            return Err(Error::Recording {
+                field: "frames of a live vessel",
+                found: format!("{} that were not kept", self.frames),
+                expected: "none before the first one that is kept".into(),
+            });
+        }
+        self.kept.get_or_insert_default();
+        Ok(())
+    }
+
+    /// The lumen of all frames at once, as [`Reconstructor::run`] makes it of a recording of them: more accurate than a
+    /// swept vessel that grew. The vessel stays as it is, and more frames may follow.
+    ///
+    /// # Errors
+    /// [`Error::Recording`] where frames were not [kept](Self::keep_frames), and as [`Reconstructor::run`].
+    pub fn finish(&self) -> Result<Lumen> {
+        let kept = self.kept.as_ref().ok_or_else(|| Error::Recording {
+            field: "frames of a live vessel",
+            found: format!("{} that were not kept", self.frames),
+            expected: "frames that are kept from the first on".into(),
+        })?;
+        Reconstructor::new(self.settings.clone()).run(kept)
     }
 
     /// Forgets all frames: the next one begins a new vessel with the same settings.
-    ///
-    /// # Errors
-    /// As [`new`](Self::new).
-    pub fn reset(&mut self) -> Result<()> {
-        *self = Self::new(&self.settings)?;
-        Ok(())
+    pub fn reset(&mut self) {
+        self.frames = 0;
+        self.kept = self.kept.take().map(|_| Recording::default());
+        self.screening = LiveScreening::default();
+        self.vessel.reset();
     }
 
     /// Takes the next frame and brings the mesh up to date. What is done with an unfit frame, the settings say.
@@ -193,6 +254,7 @@ impl Live {
     pub fn push(&mut self, frame: &Frame) -> Result<Change> {
         let start = Instant::now();
         let number = self.frames;
+        let as_it_came = frame;
         let frame = self.settings.conventions.apply_to(frame);
         let judged = match self.settings.unfit_frames {
             UnfitFrames::Keep => {
@@ -202,6 +264,9 @@ impl Live {
             _ => self.screening.push(&frame),
         };
         self.frames += 1;
+        if let Some(kept) = &mut self.kept {
+            kept.frames.push(as_it_came.clone());
+        }
         self.take(number, judged, start)
     }
 
@@ -221,7 +286,7 @@ impl Live {
         let mut change = Change { frame: number, restarted: restart, left_out, ..Change::default() };
         change.times.screening_s = start.elapsed().as_secs_f64();
         if restart {
-            self.vessel = Vessel::new(&self.settings)?;
+            self.vessel.reset();
         }
         for (number, frame) in frames {
             match &mut self.vessel {
@@ -267,7 +332,7 @@ impl Live {
     /// Rings of the vessel.
     pub fn rings(&self) -> usize {
         match &self.vessel {
-            Vessel::Cylinders(cylinders) => cylinders.vessel.rings.len(),
+            Vessel::Cylinders(cylinders) => cylinders.vessel().rings.len(),
             Vessel::Sweep(sweep) => sweep.rings(),
         }
     }
@@ -276,7 +341,7 @@ impl Live {
     pub fn nodes(&self) -> usize {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => {
-                cylinders.vessel.rings.first().map_or(0, |ring| ring.nodes_mm.len())
+                cylinders.vessel().rings.first().map_or(0, |ring| ring.nodes_mm.len())
             }
             Vessel::Sweep(sweep) => sweep.nodes(),
         }
@@ -287,7 +352,7 @@ impl Live {
     /// it; a vessel that has not begun has no nodes.
     pub fn surface(&self) -> Surface {
         match &self.vessel {
-            Vessel::Cylinders(cylinders) => cylinders.vessel.surface(),
+            Vessel::Cylinders(cylinders) => cylinders.vessel().surface(),
             Vessel::Sweep(sweep) => sweep.surface(0..sweep.rings(), self.settings.sweep.keep_unsupported),
         }
     }
@@ -298,7 +363,7 @@ impl Live {
         let end = rings.end.min(self.rings());
         let rings = rings.start.min(end)..end;
         match &self.vessel {
-            Vessel::Cylinders(cylinders) => cylinders.vessel.part(rings),
+            Vessel::Cylinders(cylinders) => cylinders.vessel().part(rings),
             Vessel::Sweep(sweep) => sweep.surface(rings, true),
         }
     }
@@ -316,6 +381,7 @@ fn check_sweep(settings: &Settings) -> Result<()> {
         return refused("sweep.estimate_offset", "true", "false");
     }
     if settings.backend == Backend::Gpu {
+        // A frame solves for at most 48 rings: it would wait for the device longer than it computes.
         return refused("backend", "gpu", "auto or cpu");
     }
     Ok(())

@@ -9,6 +9,7 @@ use crate::sweep::support::Tally;
 use crate::sweep::wall::equations::Equations;
 use crate::sweep::wall::residual::{ResidualModel, gate, is_inlier, measure_on_tube};
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use std::ops::Range;
 
@@ -16,7 +17,7 @@ use std::ops::Range;
 const MAX_PER_CELL: usize = 40;
 
 /// An echo, or several that were merged into one.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Sample {
     pub echo: Echo,
     pub point_mm: DVec3,
@@ -98,7 +99,7 @@ impl Sample {
 }
 
 /// The echoes between two rings.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct EchoBand {
     cells: Vec<Vec<Sample>>,
     /// Number of echoes that arrived, merged or not.
@@ -130,6 +131,27 @@ impl EchoBand {
             latest_s: f64::NEG_INFINITY,
             is_projected: false,
         }
+    }
+
+    /// Whether it can go on after it was read from a file, as a band of this grid.
+    pub fn is_sound(&self, grid: &WallGrid) -> bool {
+        let covers = |rings: &Range<usize>| {
+            rings.start <= rings.end
+                && rings.end <= grid.rings
+                && self.equations.covers(rings, grid)
+                && self.tally.covers(rings.len() * grid.nodes)
+        };
+        self.cells.len() == grid.nodes
+            && self.kept == self.cells.iter().map(Vec::len).sum::<usize>()
+            && self.cells.iter().all(|cell| cell.len() <= MAX_PER_CELL)
+            && self.count < usize::MAX / 2
+            && (covers(&self.rings) || self.rings.start == self.rings.end && self.rings.end <= grid.rings)
+    }
+
+    /// The bins of its samples in the running median of all.
+    pub fn bins(&self) -> impl Iterator<Item = u16> + '_ {
+        let counted = |sample: &&Sample| !sample.is_merged;
+        self.cells.iter().flatten().filter(counted).filter_map(|sample| sample.bin)
     }
 
     /// Whether there are too few echoes yet to determine a wall.

@@ -21,6 +21,7 @@ use crate::sweep::wall::residual::ResidualModel;
 use crate::sweep::wall::solver::{System, solve};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -45,6 +46,11 @@ const SOLVED_SHARE: f64 = 0.02;
 const MAX_PROJECTION: usize = 16;
 /// Rings beside a window that affect the support in it.
 const SUPPORT_MARGIN: usize = 8;
+/// What a vessel that is read from a file may have: rings, nodes per ring, and the smallest distance of two rings in
+/// distances of the curve's nodes.
+const MAX_RINGS: usize = 1 << 24;
+const MAX_NODES: usize = 1 << 14;
+const MIN_STEP_SPACINGS: f64 = 1e-3;
 /// Rounds over the first frames, and those of them that are a warm-up.
 const FIRST_ROUNDS: usize = 5;
 const WARM_UP_ROUNDS: usize = 2;
@@ -69,7 +75,7 @@ pub(crate) struct Step {
 }
 
 /// A frame in the world.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub(super) struct PlacedFrame {
     pub number: u32,
     pub time_s: f64,
@@ -86,6 +92,7 @@ impl PlacedFrame {
 }
 
 /// An echo beyond the ends of the axis.
+#[derive(Serialize, Deserialize)]
 struct PendingEcho {
     point_mm: DVec3,
     image_normal: DVec3,
@@ -94,6 +101,7 @@ struct PendingEcho {
 }
 
 /// The vessel found so far.
+#[derive(Serialize, Deserialize)]
 pub(super) struct GrowingVessel {
     curve: Curve,
     /// Length along the curve of the first ring, mm.
@@ -151,6 +159,34 @@ impl GrowingVessel {
         };
         vessel.insert_rings(0, rings);
         vessel
+    }
+
+    /// Whether it can go on after it was read from a file.
+    pub fn is_sound(&self, settings: &Settings) -> bool {
+        let WallGrid { rings, nodes, step_mm, arc_mm } = self.grid;
+        // Before anything is multiplied.
+        if !(2..=MAX_RINGS).contains(&rings) || !(3..=MAX_NODES).contains(&nodes) || !self.curve.is_sound() {
+            return false;
+        }
+        let of_settings =
+            (self.roughness, self.half_life_s) == (settings.sweep.roughness, settings.sweep.half_life_s);
+        let lengths = [step_mm, arc_mm, self.axis.step_mm];
+        let axis = &self.axis;
+        let bins = |k: usize| self.bins.iter().filter_map(move |bins| bins[k]);
+        of_settings
+            && lengths.iter().all(|mm| mm.is_finite() && *mm > MIN_STEP_SPACINGS * self.curve.spacing_mm())
+            && (0.0..2.0 * step_mm).contains(&self.origin_mm)
+            && [axis.points_mm.len(), axis.frames.len(), self.bands.len()] == [rings; 3]
+            && [self.radii_mm.len(), self.bins.len()] == [rings * nodes; 2]
+            && self.support.is_of(rings * nodes)
+            && self.bands.iter().all(|band| band.is_sound(&self.grid))
+            && self.observed.start <= self.observed.end
+            && self.observed.end < rings
+            && self.background < rings + BACKGROUND_STEP
+            && self.pending.len() <= MAX_PENDING
+            && self.residuals.holds(self.bands.iter().flat_map(EchoBand::bins))
+            && self.densities.holds(bins(0))
+            && self.errors.holds(bins(1))
     }
 
     /// Places the first frames and fits the wall about them.

@@ -2,6 +2,7 @@
 
 use crate::sweep::prepare::grid::{Corners, WallGrid};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// Nodes per parallel task of a sum.
@@ -10,7 +11,7 @@ const TASK_NODES: usize = 4096;
 const FIXED_STIFFNESS: f64 = 1e6;
 
 /// The normal equations of weighted points on the triangles of a grid.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(in crate::sweep) struct Equations {
     /// The first node covered.
     first: usize,
@@ -23,6 +24,11 @@ impl Equations {
     pub(in crate::sweep) fn over(grid: &WallGrid, rings: Range<usize>) -> Self {
         let first = rings.start * grid.nodes;
         Self { first, rows: vec![[0.0; 5]; rings.len() * grid.nodes] }
+    }
+
+    /// Whether they are those of these rings of a grid.
+    pub(in crate::sweep) fn covers(&self, rings: &Range<usize>, grid: &WallGrid) -> bool {
+        self.first == rings.start * grid.nodes && self.rows.len() == rings.len() * grid.nodes
     }
 
     /// Adds a point: `weight · (x(corners) - value)²`.
