@@ -27,23 +27,27 @@ fn percentiles(mut values: Vec<f64>) -> String {
     format!("p50 {:.3}, p95 {:.3}, p99 {:.3}, max {:.3} ms", rank(0.5), rank(0.95), rank(0.99), rank(1.0))
 }
 
-/// The vessel after all frames, and wall-clock and CPU time of each, in ms.
-fn pushed(frames: &[Frame], settings: &Settings) -> (Live, Vec<[f64; 2]>) {
+/// The columns of a frame's times, ms.
+const COLUMNS: [&str; 6] = ["wall", "CPU", "screening", "axis", "placing", "solving"];
+
+/// The vessel after all frames, and the times of each.
+fn pushed(frames: &[Frame], settings: &Settings) -> (Live, Vec<[f64; 6]>) {
     let mut live = Live::new(settings).unwrap();
     let times = frames.iter().map(|frame| {
         let (wall, cpu) = (Instant::now(), ProcessTime::now());
-        live.push(frame).unwrap();
-        [wall.elapsed().as_secs_f64() * 1e3, cpu.elapsed().as_secs_f64() * 1e3]
+        let stages = live.push(frame).unwrap().times;
+        let (wall, cpu) = (wall.elapsed().as_secs_f64(), cpu.elapsed().as_secs_f64());
+        [wall, cpu, stages.screening_s, stages.axis_s, stages.placing_s, stages.solving_s].map(|s| s * 1e3)
     });
     let times = times.collect();
     (live, times)
 }
 
-fn print(what: &str, times: &[[f64; 2]]) {
-    let column = |k: usize| percentiles(times.iter().map(|t| t[k]).collect());
+fn print(what: &str, times: &[[f64; 6]]) {
     println!("L1 {what}, {} frames", times.len());
-    println!("   wall {}", column(0));
-    println!("   CPU  {}", column(1));
+    for (k, column) in COLUMNS.iter().enumerate() {
+        println!("   {column:9} {}", percentiles(times.iter().map(|t| t[k]).collect()));
+    }
 }
 
 /// Mean distance of the nodes from a surface, mm.
@@ -94,10 +98,37 @@ fn rest(frames: usize) {
     }
 }
 
+/// A catheter that goes forth and back in an arch: the axis moves while many echoes lie about it.
+fn to_and_fro() {
+    let advance = |distance_mm| Move::Advance { distance_mm };
+    let rest = Move::Rest { duration_s: 20.0 };
+    let moves = vec![
+        advance(30.0),
+        Move::Bend { angle_deg: 25.0 },
+        Move::Turn { angle_deg: 360.0 },
+        rest,
+        Move::Bend { angle_deg: 0.0 },
+        Move::Withdraw { distance_mm: 15.0 },
+        advance(60.0),
+        Move::Withdraw { distance_mm: 40.0 },
+    ];
+    let vessel = Phantom::from("arch".parse::<Shape>().unwrap()).vessel().unwrap();
+    let insertion = Insertion::default().with_moves(moves).with_repeat(false);
+    let settings = simulate::SimulationSettings::default().with_insertion(insertion);
+    let simulation = Simulation::run(vessel, &settings).unwrap();
+    for method in [Method::Cylinders, Method::Sweep] {
+        let (live, times) = pushed(&simulation.recording.frames, &Settings::default().with_method(method));
+        let apart = apart(&live.surface(), simulation.vessel.surface());
+        assert!(apart < 1.5, "live and truth are {apart} mm apart");
+        print(&format!("to and fro in an arch, {method:?}"), &times);
+    }
+}
+
 fn main() {
     let test = std::env::args().any(|a| a == "--test");
     println!("{} threads", rayon::current_num_threads());
     recording(test);
+    to_and_fro();
     rest(if test { 200 } else { 20_000 });
     if let Ok(load) = std::fs::read_to_string("/proc/loadavg") {
         println!("load {}", load.trim());

@@ -8,6 +8,7 @@
 use lumenmesh::reconstruction::{LumenReport, Reconstructor};
 use lumenmesh::recording::{Recording, Summary};
 use lumenmesh::settings::Settings;
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -18,8 +19,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let recording = Recording::read(&input)?;
     print!("{}", Summary::of(&recording));
 
-    let reconstructor = Reconstructor::new(Settings::default())
-        .on_progress(|progress| eprintln!("{}: {} of {}", progress.stage, progress.done, progress.total));
+    let reconstructor = Reconstructor::new(Settings::default()).on_progress(|progress| {
+        eprintln!("{}: {} of {}", progress.stage, progress.done, progress.total);
+        // Break, and run ends with Error::Cancelled.
+        ControlFlow::Continue(())
+    });
     let lumen = reconstructor.run(&recording)?;
     let mesh = lumen.surface();
     mesh.write(&output)?;

@@ -1,6 +1,7 @@
 //! The one error type of the crate.
 
 use std::borrow::Cow;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 /// What can go wrong between a recording and a mesh.
@@ -130,6 +131,9 @@ pub enum Error {
         /// What should have been there.
         expected: String,
     },
+    /// The work was ended before it was done, because the host asked for that.
+    #[error("cancelled")]
+    Cancelled,
     /// The device failed.
     #[cfg(feature = "gpu")]
     #[error("{0}")]
@@ -157,6 +161,14 @@ fn printable(text: &str) -> String {
         shown = shown.chars().take(LONGEST - 1).chain(['…']).collect();
     }
     shown
+}
+
+/// [`Error::Cancelled`] where a callback asks to end.
+pub(crate) fn unless_cancelled(asked: ControlFlow<()>) -> Result<()> {
+    match asked {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Error::Cancelled),
+    }
 }
 
 impl Error {

@@ -17,7 +17,7 @@
 /**
  * Version of this interface: it changes where a program that was compiled with an older header would not work.
  */
-#define LUMENMESH_ABI_VERSION 1
+#define LUMENMESH_ABI_VERSION 2
 
 /**
  * What a function returns. The text is in `lumenmesh_last_error()`.
@@ -55,6 +55,10 @@ enum LumenmeshStatus
    * An error of this library, which should never occur.
    */
   LUMENMESH_STATUS_INTERNAL = 6,
+  /**
+   * The host's progress callback asked to end.
+   */
+  LUMENMESH_STATUS_CANCELLED = 7,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -129,7 +133,33 @@ typedef struct LumenmeshChange {
    * 1 where the vessel began anew.
    */
   int32_t restarted;
+  /**
+   * How long the frame took, s of wall-clock time: judging whether it is fit for use;
+   */
+  double screening_s;
+  /**
+   * drawing the axis of a swept vessel anew, and placing older echoes about it;
+   */
+  double axis_s;
+  /**
+   * placing the frame and its echoes;
+   */
+  double placing_s;
+  /**
+   * solving for the wall, or fitting a cylinder;
+   */
+  double solving_s;
+  /**
+   * all of it.
+   */
+  double total_s;
 } LumenmeshChange;
+
+/**
+ * Called when a step is done: the stage, the steps of it that are done and their number, and the host's own pointer. It
+ * returns 0 to go on, and anything else to end the reconstruction.
+ */
+typedef int32_t (*LumenmeshProgress)(const char *stage, size_t done, size_t total, void *data);
 
 #ifdef __cplusplus
 extern "C" {
@@ -161,6 +191,32 @@ LumenmeshStatus lumenmesh_evaluate(const struct LumenmeshMesh *mesh,
  * A vessel of no frames yet. `settings` may be null: then all are the defaults.
  */
 LumenmeshStatus lumenmesh_live_new(const struct LumenmeshSettings *settings, struct LumenmeshLive **live);
+
+/**
+ * Keeps all frames from now on for `lumenmesh_live_finish`: 16 bytes for each contour point, and some 200 for each frame.
+ * Otherwise memory grows with the vessel's length only. It is refused where frames have come already.
+ */
+LumenmeshStatus lumenmesh_live_keep_frames(struct LumenmeshLive *live);
+
+/**
+ * The lumen of all frames at once, as `lumenmesh_reconstruct` makes it of a recording of them. The frames must have been kept.
+ * The live vessel stays as it is.
+ */
+LumenmeshStatus lumenmesh_live_finish(const struct LumenmeshLive *live,
+                                      struct LumenmeshLumen **lumen);
+
+/**
+ * Writes the whole state of a live vessel as a file, complete or not at all: `lumenmesh_live_restore` goes on from there.
+ */
+LumenmeshStatus lumenmesh_live_snapshot(const struct LumenmeshLive *live,
+                                        const char *path);
+
+/**
+ * A live vessel as it was when the file was written, with its settings: what follows is the same to the last bit. The file
+ * must be whole and of this version.
+ */
+LumenmeshStatus lumenmesh_live_restore(const char *path,
+                                       struct LumenmeshLive **live);
 
 /**
  * Takes the next frame: the 4x4 matrix of the tracker's sensor in the world, row by row, with the translation in mm in the
@@ -226,6 +282,17 @@ LumenmeshStatus lumenmesh_live_free(struct LumenmeshLive *live);
 LumenmeshStatus lumenmesh_reconstruct(const struct LumenmeshRecording *recording,
                                       const struct LumenmeshSettings *settings,
                                       struct LumenmeshLumen **lumen);
+
+/**
+ * As `lumenmesh_reconstruct`, and calls `progress` whenever a step is done, with `data`: from any thread, and from several at
+ * the same time. Once it has returned something other than 0, the reconstruction ends soon with
+ * LUMENMESH_STATUS_CANCELLED. `progress` must not block, nor throw or jump out.
+ */
+LumenmeshStatus lumenmesh_reconstruct_with(const struct LumenmeshRecording *recording,
+                                           const struct LumenmeshSettings *settings,
+                                           LumenmeshProgress progress,
+                                           void *data,
+                                           struct LumenmeshLumen **lumen);
 
 /**
  * The mesh of a lumen, with its node arrays.

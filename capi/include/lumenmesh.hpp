@@ -11,6 +11,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <limits>
 #include <stdexcept>
 #include <string>
@@ -197,6 +198,20 @@ class Lumen {
 public:
     explicit Lumen(const Recording &recording) { run(recording, nullptr); }
     Lumen(const Recording &recording, const Settings &settings) { run(recording, settings.get()); }
+    // progress(stage, done, total) is called from any thread, and from several at once; false ends the reconstruction with
+    // an Error of status LUMENMESH_STATUS_CANCELLED. What it throws has the same effect.
+    using Progress = std::function<bool(const char *stage, std::size_t done, std::size_t total)>;
+    Lumen(const Recording &recording, const Settings &settings, const Progress &progress) {
+        const auto call = [](const char *stage, std::size_t done, std::size_t total, void *data) -> std::int32_t {
+            try {
+                return (*static_cast<const Progress *>(data))(stage, done, total) ? 0 : 1;
+            } catch (...) {
+                return 1;
+            }
+        };
+        detail::check(lumenmesh_reconstruct_with(recording.get(), settings.get(), call,
+                                                 const_cast<Progress *>(&progress), handle_.out()));
+    }
 
     Mesh mesh() const {
         Mesh mesh;
@@ -211,6 +226,9 @@ public:
     }
 
 private:
+    friend class Live;
+    Lumen() = default;
+
     void run(const Recording &recording, const LumenmeshSettings *settings) {
         detail::check(lumenmesh_reconstruct(recording.get(), settings, handle_.out()));
     }
@@ -223,6 +241,24 @@ class Live {
 public:
     Live() { detail::check(lumenmesh_live_new(nullptr, handle_.out())); }
     explicit Live(const Settings &settings) { detail::check(lumenmesh_live_new(settings.get(), handle_.out())); }
+
+    // A vessel as it was when snapshot() wrote the file.
+    static Live restore(const std::string &path) {
+        Live live{nullptr};
+        detail::check(lumenmesh_live_restore(path.c_str(), live.handle_.out()));
+        return live;
+    }
+    void snapshot(const std::string &path) const {
+        detail::check(lumenmesh_live_snapshot(handle_.get(), path.c_str()));
+    }
+    // Keeps all frames from now on for finish(); before the first one.
+    void keep_frames() { detail::check(lumenmesh_live_keep_frames(handle_.get())); }
+    // The lumen of all frames at once.
+    Lumen finish() const {
+        Lumen lumen;
+        detail::check(lumenmesh_live_finish(handle_.get(), lumen.handle_.out()));
+        return lumen;
+    }
 
     LumenmeshChange push(const Frame &frame) {
         const double *contour = frame.contour_mm.empty() ? nullptr : frame.contour_mm.front().data();
@@ -267,6 +303,8 @@ public:
     }
 
 private:
+    explicit Live(std::nullptr_t) {}
+
     detail::Handle<LumenmeshLive, lumenmesh_live_free> handle_;
     std::size_t changed_ = 0;
 };

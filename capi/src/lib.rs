@@ -19,7 +19,7 @@ mod status;
 use std::ffi::c_char;
 
 /// Version of this interface: it changes where a program that was compiled with an older header would not work.
-pub const LUMENMESH_ABI_VERSION: u32 = 1;
+pub const LUMENMESH_ABI_VERSION: u32 = 2;
 
 /// The interface's version of the library that is loaded: compare it with `LUMENMESH_ABI_VERSION`.
 #[unsafe(no_mangle)]

@@ -1,7 +1,8 @@
 //! A vessel that grows frame by frame.
 
 use crate::handles::Handles;
-use crate::memory::{array, check_place, copy, copy_text, put};
+use crate::lumen::{LUMENS, LumenmeshLumen};
+use crate::memory::{array, check_place, copy, copy_text, put, text};
 use crate::mesh::{LumenmeshMesh, MESHES};
 use crate::recording::{contour, matrix};
 use crate::settings::{LumenmeshSettings, settings_of};
@@ -46,6 +47,16 @@ pub struct LumenmeshChange {
     pub off_axis: i32,
     /// 1 where the vessel began anew.
     pub restarted: i32,
+    /// How long the frame took, s of wall-clock time: judging whether it is fit for use;
+    pub screening_s: f64,
+    /// drawing the axis of a swept vessel anew, and placing older echoes about it;
+    pub axis_s: f64,
+    /// placing the frame and its echoes;
+    pub placing_s: f64,
+    /// solving for the wall, or fitting a cylinder;
+    pub solving_s: f64,
+    /// all of it.
+    pub total_s: f64,
 }
 
 impl State {
@@ -61,6 +72,11 @@ impl State {
             waiting: change.waiting,
             off_axis: i32::from(change.off_axis),
             restarted: i32::from(change.restarted),
+            screening_s: change.times.screening_s,
+            axis_s: change.times.axis_s,
+            placing_s: change.times.placing_s,
+            solving_s: change.times.solving_s,
+            total_s: change.times.total_s,
         }
     }
 }
@@ -88,6 +104,59 @@ pub unsafe extern "C" fn lumenmesh_live_new(
     border(|| {
         check_place("live", live)?;
         let state = State { live: Live::new(&settings_of(settings)?)?, change: Change::default() };
+        unsafe { put("live", live, LIVES.give(Mutex::new(state))) }
+    })
+}
+
+/// Keeps all frames from now on for `lumenmesh_live_finish`: 16 bytes for each contour point, and some 200 for each frame.
+/// Otherwise memory grows with the vessel's length only. It is refused where frames have come already.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn lumenmesh_live_keep_frames(live: *mut LumenmeshLive) -> LumenmeshStatus {
+    border(|| {
+        let state = LIVES.get(live)?;
+        Ok(locked(&state)?.live.keep_frames()?)
+    })
+}
+
+/// The lumen of all frames at once, as `lumenmesh_reconstruct` makes it of a recording of them. The frames must have been kept.
+/// The live vessel stays as it is.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn lumenmesh_live_finish(
+    live: *const LumenmeshLive,
+    lumen: *mut *mut LumenmeshLumen,
+) -> LumenmeshStatus {
+    border(|| {
+        check_place("lumen", lumen)?;
+        let state = LIVES.get(live)?;
+        let made = locked(&state)?.live.finish()?;
+        unsafe { put("lumen", lumen, LUMENS.give(made)) }
+    })
+}
+
+/// Writes the whole state of a live vessel as a file, complete or not at all: `lumenmesh_live_restore` goes on from there.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn lumenmesh_live_snapshot(
+    live: *const LumenmeshLive,
+    path: *const c_char,
+) -> LumenmeshStatus {
+    border(|| {
+        let path = unsafe { text("path", path)? };
+        let state = LIVES.get(live)?;
+        Ok(locked(&state)?.live.snapshot(path.as_ref())?)
+    })
+}
+
+/// A live vessel as it was when the file was written, with its settings: what follows is the same to the last bit. The file
+/// must be whole and of this version.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn lumenmesh_live_restore(
+    path: *const c_char,
+    live: *mut *mut LumenmeshLive,
+) -> LumenmeshStatus {
+    border(|| {
+        check_place("live", live)?;
+        let path = unsafe { text("path", path)? };
+        let state = State { live: Live::restore(path.as_ref())?, change: Change::default() };
         unsafe { put("live", live, LIVES.give(Mutex::new(state))) }
     })
 }
@@ -140,7 +209,7 @@ pub unsafe extern "C" fn lumenmesh_live_reset(live: *mut LumenmeshLive) -> Lumen
     border(|| {
         let state = LIVES.get(live)?;
         let mut state = locked(&state)?;
-        state.live.reset()?;
+        state.live.reset();
         state.change = Change::default();
         Ok(())
     })

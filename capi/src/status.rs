@@ -23,6 +23,8 @@ pub enum LumenmeshStatus {
     Device = 5,
     /// An error of this library, which should never occur.
     Internal = 6,
+    /// The host's progress callback asked to end.
+    Cancelled = 7,
 }
 
 /// Why a function fails.
@@ -47,6 +49,7 @@ impl From<Error> for Failure {
         let status = match &error {
             Error::Read { .. } | Error::Write { .. } | Error::Output { .. } => LumenmeshStatus::File,
             Error::Gpu(_) => LumenmeshStatus::Device,
+            Error::Cancelled => LumenmeshStatus::Cancelled,
             _ => LumenmeshStatus::InvalidInput,
         };
         Self { status, message: error.to_string() }

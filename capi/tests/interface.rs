@@ -264,6 +264,23 @@ if (!strstr(text, "right-handed")) return 8;
 free(text);
 identity[0] = NAN;
 OK(lumenmesh_live_push(live, identity, 0, NULL, NAN, &change));
+
+/* Snapshots, and the batch result of frames that were kept. */
+LumenmeshLive *again = NULL;
+SAYS(lumenmesh_live_restore("no.state", &again), LUMENMESH_STATUS_FILE, "no.state: cannot read");
+SAYS(lumenmesh_live_restore("mesh.ply", &again), LUMENMESH_STATUS_INVALID_INPUT, "mesh.ply: content: found another kind of file");
+SAYS(lumenmesh_live_snapshot(live, NULL), LUMENMESH_STATUS_INVALID_ARGUMENT, "path: found null");
+OK(lumenmesh_live_snapshot(live, "live.state"));
+OK(lumenmesh_live_restore("live.state", &again));
+identity[0] = 1;
+OK(lumenmesh_live_push(again, identity, 3, contour, NAN, &change));
+if (change.frame != 3 || !(change.total_s > 0)) return 9;
+SAYS(lumenmesh_live_finish(again, &lumen), LUMENMESH_STATUS_INVALID_INPUT, "found 4 that were not kept");
+SAYS(lumenmesh_live_keep_frames(again), LUMENMESH_STATUS_INVALID_INPUT, "found 4 that were not kept");
+OK(lumenmesh_live_reset(again));
+OK(lumenmesh_live_keep_frames(again));
+SAYS(lumenmesh_live_finish(again, &lumen), LUMENMESH_STATUS_INVALID_INPUT, "expected");
+OK(lumenmesh_live_free(again));
 OK(lumenmesh_live_free(live));
 SAYS(lumenmesh_live_push(live, identity, 3, contour, NAN, &change), LUMENMESH_STATUS_INVALID_ARGUMENT, "freed");
 OK(lumenmesh_mesh_free(mesh));
@@ -300,6 +317,56 @@ fn a_cmake_project_and_pkg_config_find_the_library() {
         let flags = succeeds(&mut asked);
         assert!(flags.contains("-llumenmesh") && flags.contains("-I"), "{flags}");
     }
+}
+
+#[test]
+fn a_reconstruction_is_followed_and_ended() {
+    if !has("c++") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (recording, _) = simulated(folder.path());
+    let source = folder.path().join("progress.cpp");
+    let text = r#"
+#include <lumenmesh.hpp>
+#include <atomic>
+#include <cstdio>
+#include <cstring>
+int main(int, char **argv) {
+    const lumenmesh::Recording recording(argv[1]);
+    for (const char *method : {"sweep", "cylinders"}) {
+        const auto settings = std::move(lumenmesh::Settings().set("method", method).set("backend", "cpu"));
+        std::atomic<int> all{0}, some{0};
+        lumenmesh::Lumen whole(recording, settings, [&](const char *, std::size_t done, std::size_t total) {
+            all++;
+            return done <= total;
+        });
+        for (const bool throws : {false, true}) {
+            some = 0;
+            try {
+                lumenmesh::Lumen(recording, settings, [&](const char *, std::size_t, std::size_t) -> bool {
+                    some++;
+                    if (throws) throw 1;
+                    return false;
+                });
+                return 3;
+            } catch (const lumenmesh::Error &error) {
+                if (error.status() != LUMENMESH_STATUS_CANCELLED || std::strcmp(error.what(), "cancelled")) return 4;
+            }
+        }
+        std::printf("%s %d\n", method, all.load());
+        // Threads that were in the middle of a step finish it.
+        if (some < 1 || some >= all) return 5;
+        if (whole.mesh().triangles().empty()) return 6;
+    }
+    return 0;
+}
+"#;
+    std::fs::write(&source, text).unwrap();
+    let to = folder.path().join("progress");
+    compiled(&source, &to, "c++", "-std=c++17");
+    let said = succeeds(Command::new(&to).arg(&recording));
+    assert!(said.contains("sweep 6\n") && said.contains("cylinders "), "{said}");
 }
 
 #[test]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any
 
@@ -242,6 +242,22 @@ def _lumen(
 
 
 @dataclass(frozen=True, slots=True)
+class Times:
+    """How long the stages of a frame took, in seconds of wall-clock time."""
+
+    screening_s: float
+    """Judging whether the frame is fit for use."""
+    axis_s: float
+    """Drawing the axis of a swept vessel anew, and placing older echoes about it."""
+    placing_s: float
+    """Placing the frame and its echoes."""
+    solving_s: float
+    """Solving for the wall, or fitting a cylinder."""
+    total_s: float
+    """All of the frame."""
+
+
+@dataclass(frozen=True, slots=True)
 class Change:
     """What a frame changed. Rings are numbered along the vessel; ring k has the nodes from k * live.nodes on."""
 
@@ -261,23 +277,42 @@ class Change:
     """Frames that jump off the path of the others and wait for later ones to decide."""
     restarted: bool
     """Whether the vessel began anew."""
+    times: Times = field(compare=False)
+    """How long that took; changes are equal if all else is."""
 
 
-def _change(values: tuple[int, int, list[tuple[int, int]], int, bool, str, int, bool]) -> Change:
-    frame, before, changed, rings, off_axis, left_out, waiting, restarted = values
-    return Change(frame, before, changed, rings, off_axis, json.loads(left_out), waiting, restarted)
+def _change(values: native._Change) -> Change:
+    frame, before, changed, rings, off_axis, left_out, waiting, restarted, times = values
+    frames = [] if left_out == "[]" else json.loads(left_out)
+    return Change(frame, before, changed, rings, off_axis, frames, waiting, restarted, Times(*times))
 
 
 class Live:
     """A vessel that grows frame by frame, in bounded time. Settings as for `reconstruct`.
 
-    Any thread may use it, one at a time; while it computes, other Python threads run.
+    Any thread may use it, one at a time; while it computes, other Python threads run. keep_frames: for `finish`; otherwise
+    memory grows with the vessel's length only.
     """
 
     __slots__ = ("_native",)
 
-    def __init__(self, **settings: Any) -> None:
-        self._native = native.NativeLive(_settings(settings))
+    def __init__(self, *, keep_frames: bool = False, **settings: Any) -> None:
+        self._native = native.NativeLive(_settings(settings), keep_frames)
+
+    @classmethod
+    def restore(cls, path: Path) -> Live:
+        """A vessel as it was when `snapshot` wrote the file, with its settings: what follows is the same to the last bit."""
+        live = cls.__new__(cls)
+        live._native = native.NativeLive.restore(path)
+        return live
+
+    def snapshot(self, path: Path) -> None:
+        """Writes the whole state as a file, complete or not at all."""
+        self._native.snapshot(path)
+
+    def finish(self) -> Lumen:
+        """The lumen of all frames at once, as `reconstruct` makes it of a recording of them. Needs keep_frames."""
+        return _reconstructed(*self._native.finish())
 
     def push(self, pose: ArrayLike, contour: ArrayLike, time: float | None = None) -> Change:
         """Takes the next frame: pose (4, 4), contour (M, 2) in mm with NaN where a ray has no echo, time in s.
@@ -342,9 +377,12 @@ def reconstruct(
 
     Settings are keywords with the names, values and limits of the TOML file, groups as dictionaries:
     `method="cylinders", nodes=24, sweep={"roughness": 0.1}`. `progress(stage, done, total)` is called from other threads;
-    what it raises, KeyboardInterrupt too, is raised here when the computation has ended.
+    what it raises, KeyboardInterrupt too, ends the computation soon and is raised here.
     """
-    mesh, report = native.reconstruct(recording._native, _settings(settings), progress)
+    return _reconstructed(*native.reconstruct(recording._native, _settings(settings), progress))
+
+
+def _reconstructed(mesh: native.NativeMesh, report: str) -> Lumen:
     lumen = Lumen.__new__(Lumen)
     lumen._native = mesh
     lumen.report = json.loads(report)

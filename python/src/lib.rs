@@ -3,7 +3,9 @@
 
 use lumenmesh_core::evaluate::{Truth, evaluate as evaluate_surface};
 use lumenmesh_core::glam::{DVec2, DVec3};
-use lumenmesh_core::reconstruction::{Change as CoreChange, Live as CoreLive, Progress, Reconstructor};
+use lumenmesh_core::reconstruction::{
+    Change as CoreChange, Live as CoreLive, Lumen, Progress, Reconstructor,
+};
 use lumenmesh_core::recording::{CylinderModel, Frame, Recording as CoreRecording};
 use lumenmesh_core::report::render::{Style, render};
 use lumenmesh_core::settings::Settings;
@@ -17,6 +19,7 @@ use pyo3::create_exception;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Mutex;
 
@@ -231,21 +234,25 @@ fn reconstruct(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(NativeMesh, String)> {
     let settings = settings_of(&settings)?;
-    // What the callback raised first: it is called from the threads that compute, which go on to the end of their work.
+    // What the callback raised first; the work ends with it.
     let raised: Mutex<Option<PyErr>> = Mutex::new(None);
     let tell = |Progress { stage, done, total, .. }: Progress| {
-        let Some(progress) = &progress else { return };
+        let Some(progress) = &progress else { return ControlFlow::Continue(()) };
         let mut raised = raised.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if raised.is_none() {
             *raised = Python::attach(|py| progress.call1(py, (stage, done, total))).err();
         }
+        if raised.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let lumen = py.detach(|| Reconstructor::new(settings).on_progress(tell).run(&recording.0));
     if let Some(raised) = raised.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner) {
         return Err(raised);
     }
     py.check_signals()?;
-    let lumen = lumen.map_err(error)?;
+    lumen_parts(py, &lumen.map_err(error)?)
+}
+
+fn lumen_parts(py: Python<'_>, lumen: &Lumen) -> PyResult<(NativeMesh, String)> {
     let report = json(lumen.summary())?;
     Ok((NativeMesh(py.detach(|| lumen.surface())), report))
 }
@@ -274,13 +281,15 @@ fn simulate(
     Ok((NativeRecording(simulation.recording), NativeMesh(wall)))
 }
 
-/// What a frame changed, as a dictionary would name it: frame, before, changed, rings, off_axis, left_out (JSON), waiting,
-/// restarted.
-type ChangeTuple = (usize, usize, Vec<(usize, usize)>, usize, bool, String, usize, bool);
+/// What a frame changed: frame, before, changed, rings, off_axis, left_out (JSON), waiting, restarted, times (of screening,
+/// axis, placing, solving, and in all, s).
+type ChangeTuple = (usize, usize, Vec<(usize, usize)>, usize, bool, String, usize, bool, [f64; 5]);
 
 fn change_tuple(change: CoreChange) -> PyResult<ChangeTuple> {
     let ranges = change.changed.iter().map(|range| (range.start, range.end)).collect();
-    let left_out = json(&change.left_out)?;
+    // Most frames leave none out.
+    let left_out = if change.left_out.is_empty() { "[]".into() } else { json(&change.left_out)? };
+    let times = change.times;
     Ok((
         change.frame,
         change.before,
@@ -290,6 +299,7 @@ fn change_tuple(change: CoreChange) -> PyResult<ChangeTuple> {
         left_out,
         change.waiting,
         change.restarted,
+        [times.screening_s, times.axis_s, times.placing_s, times.solving_s, times.total_s],
     ))
 }
 
@@ -300,8 +310,25 @@ struct NativeLive(CoreLive);
 #[pymethods]
 impl NativeLive {
     #[new]
-    fn new(settings: Vec<(String, String)>) -> PyResult<Self> {
-        CoreLive::new(&settings_of(&settings)?).map(Self).map_err(error)
+    fn new(settings: Vec<(String, String)>, keep_frames: bool) -> PyResult<Self> {
+        let mut live = CoreLive::new(&settings_of(&settings)?).map_err(error)?;
+        if keep_frames {
+            live.keep_frames().map_err(error)?;
+        }
+        Ok(Self(live))
+    }
+
+    #[staticmethod]
+    fn restore(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        py.detach(|| CoreLive::restore(&path)).map(Self).map_err(error)
+    }
+
+    fn snapshot(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        py.detach(|| self.0.snapshot(&path)).map_err(error)
+    }
+
+    fn finish(&self, py: Python<'_>) -> PyResult<(NativeMesh, String)> {
+        lumen_parts(py, &py.detach(|| self.0.finish()).map_err(error)?)
     }
 
     fn push(
@@ -320,8 +347,8 @@ impl NativeLive {
         change_tuple(py.detach(|| self.0.flush()).map_err(error)?)
     }
 
-    fn reset(&mut self) -> PyResult<()> {
-        self.0.reset().map_err(error)
+    fn reset(&mut self) {
+        self.0.reset();
     }
 
     fn frames(&self) -> usize {

@@ -124,6 +124,9 @@ def test_live_grows_and_tells_what_changed(simulated):
         for first, end in change.changed:
             part = live.part(first, end).vertices.reshape(end - first, live.nodes, 3)
             followed[first:end] = list(part)
+    times = change.times
+    parts = [times.screening_s, times.axis_s, times.placing_s, times.solving_s]
+    assert min(parts) >= 0 and 0 < sum(parts) <= times.total_s
     assert change.frame == len(recording) - 1 and live.flush().left_out == []
     # Rings that did not change keep the noise of their time, which the radii are corrected for.
     assert np.allclose(np.concatenate(followed), live.surface().vertices, atol=0.02)
@@ -134,12 +137,40 @@ def test_live_grows_and_tells_what_changed(simulated):
     assert len(live) == 0 and live.rings == 0 and "0 frames" in repr(live)
 
 
-def test_what_the_callback_raises_is_raised(simulated):
-    def stop(*_):
-        raise KeyboardInterrupt
+def test_a_live_vessel_goes_on_from_a_file_and_is_finished(simulated, tmp_path):
+    recording, _ = simulated
+    frames = list(zip(recording.poses, recording.contours, recording.time))
+    whole, half = lm.Live(keep_frames=True, backend="cpu"), lm.Live(keep_frames=True, backend="cpu")
+    changes = [whole.push(*frame) for frame in frames]
+    for frame in frames[: len(frames) // 2]:
+        half.push(*frame)
+    half.snapshot(tmp_path / "live.state")
+    again = lm.Live.restore(tmp_path / "live.state")
+    assert len(again) == len(half)
+    assert [again.push(*frame) for frame in frames[len(half) :]] == changes[len(half) :]
+    assert np.array_equal(again.surface().vertices, whole.surface().vertices)
+    assert not np.array_equal(half.surface().vertices.shape, whole.surface().vertices.shape)
+    assert np.array_equal(again.finish().vertices, lm.reconstruct(recording, backend="cpu").vertices)
+    live = lm.Live()
+    live.push(*frames[0])
+    with pytest.raises(lm.Error, match="found 1 that were not kept"):
+        live.finish()
+    (tmp_path / "live.state").write_bytes((tmp_path / "live.state").read_bytes()[:-1])
+    with pytest.raises(lm.Error, match="live.state: content: found .* the file is not whole"):
+        lm.Live.restore(tmp_path / "live.state")
 
-    with pytest.raises(KeyboardInterrupt):
-        lm.reconstruct(simulated[0], progress=stop)
+
+def test_what_the_callback_raises_is_raised(simulated):
+    for method in ("sweep", "cylinders"):
+        steps = []
+
+        def stop(*step):
+            steps.append(step)
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            lm.reconstruct(simulated[0], progress=stop, method=method, backend="cpu")
+        assert len(steps) == 1
 
 
 def test_other_threads_run_meanwhile(simulated):

@@ -12,8 +12,8 @@ use std::path::{Path, PathBuf};
 /// Reconstruct every recording in a folder
 ///
 /// Each recording NAME gives DIR/NAME.vtp and DIR/NAME.json, as `reconstruct --json` prints it. A recording that fails is
-/// named and the others go on; DIR/batch.csv has a line for each. Run again, only recordings are done that are new, have
-/// changed or failed, or that were made with other settings.
+/// named and the others go on; what an earlier run made of it is removed. DIR/batch.csv has a line for each. Run again, only
+/// recordings are done that are new, have changed or failed, or that were made with other settings.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh batch recordings --out meshes
@@ -68,6 +68,13 @@ struct Made {
     triangles: usize,
 }
 
+impl Made {
+    /// The ending of the mesh.
+    fn format(&self) -> Option<&str> {
+        self.how.lines().find_map(|line| line.strip_prefix("format = "))
+    }
+}
+
 /// A report as `reconstruct --json` prints it, with what it was made of.
 #[derive(Serialize)]
 struct Report<'a> {
@@ -92,7 +99,13 @@ impl Arguments {
             let found = format!("{}, the recordings' folder", self.out.display());
             return Err(Error::setting("out", found, "another folder"));
         }
-        let how = format!("{}\nformat = {}\nspace = {}", settings.to_toml()?, self.format, self.space.name());
+        let how = format!(
+            "{}\nformat = {}\nspace = {}\n{}",
+            settings.to_toml()?,
+            self.format,
+            self.space.name(),
+            self.settings.reading()
+        );
         let bar = progress::bar("reconstructing", recordings.len());
         let lines: Vec<Line> = recordings
             .par_iter()
@@ -157,11 +170,15 @@ impl Arguments {
         let input_crc32 = checksum(path)?;
         let before =
             std::fs::read(&report).ok().and_then(|text| serde_json::from_slice::<Before>(&text).ok());
-        let before = before.map(|before| before.batch);
-        if let Some(before) = before.filter(|before| before.input_crc32 == input_crc32 && before.how == how)
-            && mesh.exists()
-        {
+        let mut before = before.map(|before| before.batch);
+        let is_done = |before: &Made| before.input_crc32 == input_crc32 && before.how == how && mesh.exists();
+        if let Some(before) = before.take_if(|before| is_done(before)) {
             return Ok((before, true));
+        }
+        // From here on the earlier results are those of another recording, or of other settings.
+        if let Some(before) = before {
+            let old = before.format().map(file);
+            remove(old.iter().chain([&mesh, &report]))?;
         }
         let recording = self.settings.read(path)?;
         let lumen = Reconstructor::new(settings.clone()).run(&recording).map_err(|e| e.in_file(path))?;
@@ -190,6 +207,17 @@ impl Arguments {
             writer.into_inner().map_err(|e| Error::write(&path, std::io::Error::other(e.to_string())))?;
         write_atomically(&path, |w| w.write_all(&bytes))
     }
+}
+
+/// Removes files where they are there.
+fn remove<'a>(files: impl IntoIterator<Item = &'a PathBuf>) -> Result<()> {
+    for file in files {
+        match std::fs::remove_file(file) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(Error::write(file, e)),
+            _ => (),
+        }
+    }
+    Ok(())
 }
 
 fn write_json(value: &impl Serialize, path: &Path) -> Result<()> {

@@ -40,10 +40,12 @@ pub(super) struct ConventionArguments {
 impl ConventionArguments {
     /// Reads a recording, unchecked.
     pub(super) fn read(&self, path: &Path) -> Result<Recording> {
-        let columns = Columns::default()
-            .with_poses(self.pose_columns.clone())
-            .with_contours(self.contour_columns.clone());
-        Recording::read_with_columns(path, &columns)
+        Recording::read_with_columns(path, &self.columns())
+    }
+
+    /// The columns of CSV files without a line of names.
+    pub(super) fn columns(&self) -> Columns {
+        Columns::default().with_poses(self.pose_columns.clone()).with_contours(self.contour_columns.clone())
     }
 
     /// These on top of others.

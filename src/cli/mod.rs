@@ -22,6 +22,7 @@ mod evaluate;
 mod experiments;
 mod import;
 mod info;
+mod manual;
 mod progress;
 mod reconstruct;
 mod render;
@@ -70,6 +71,8 @@ enum Command {
     Report(report::Arguments),
     #[cfg(feature = "gpu")]
     Devices(devices::Arguments),
+    Completions(manual::Completions),
+    Manual(manual::Manual),
 }
 
 /// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong.
@@ -105,6 +108,8 @@ pub fn main() -> ExitCode {
         Command::Replay(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
         Command::Report(arguments) => arguments.run(),
+        Command::Completions(arguments) => arguments.run(),
+        Command::Manual(arguments) => arguments.run(),
         #[cfg(feature = "gpu")]
         Command::Devices(arguments) => arguments.run(),
     };

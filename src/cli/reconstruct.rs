@@ -10,6 +10,7 @@ use crate::surface;
 use crate::sweep;
 use crate::{Error, Result};
 use serde::Serialize;
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 /// Turn a recording into a lumen mesh
@@ -124,6 +125,7 @@ pub(super) fn lumen(recording: &Recording, settings: &Settings, history: bool) -
             bar.set_message(progress.stage);
             bar.set_length(progress.total as u64);
             bar.set_position(progress.done as u64);
+            ControlFlow::Continue(())
         })
         .run(recording);
     bar.finish_and_clear();

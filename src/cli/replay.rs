@@ -2,7 +2,7 @@ use super::reconstruct::print_left_out;
 use super::settings::SettingsArguments;
 use super::space::SpaceArgument;
 use super::{Shown, print_json, progress, refuse_inputs};
-use crate::reconstruction::{Live, Work};
+use crate::reconstruction::{Live, Times, Work};
 use crate::recording::{FRAME_INTERVAL_S, Finding, LeftOut, Screening};
 use crate::settings::Settings;
 use crate::{Error, Result, surface};
@@ -56,6 +56,8 @@ struct Summary<'a> {
     /// The first frame with a vessel.
     first_frame: Option<usize>,
     push_ms: Percentiles,
+    /// The same of each stage.
+    stages_ms: Stages,
     /// The longest time of a frame.
     most_work: Work,
     /// Rings after each tenth of the frames.
@@ -84,6 +86,28 @@ impl Percentiles {
     }
 }
 
+/// What a frame's time consists of.
+#[derive(Serialize)]
+struct Stages {
+    screening: Percentiles,
+    axis: Percentiles,
+    placing: Percentiles,
+    solving: Percentiles,
+}
+
+impl Stages {
+    fn of(times: &[Times]) -> Self {
+        let each =
+            |of: fn(&Times) -> f64| Percentiles::of(times.iter().map(|times| of(times) * 1e3).collect());
+        Self {
+            screening: each(|times| times.screening_s),
+            axis: each(|times| times.axis_s),
+            placing: each(|times| times.placing_s),
+            solving: each(|times| times.solving_s),
+        }
+    }
+}
+
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         let settings = self.settings.settings()?;
@@ -92,7 +116,7 @@ impl Arguments {
         let recording = self.settings.read(&self.recording)?;
         let mut live = Live::new(&settings)?;
         let frames = &recording.frames;
-        let (mut left_out, mut restarts, mut times_ms, mut rings) =
+        let (mut left_out, mut restarts, mut times, mut rings) =
             (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let (mut first_frame, mut most_work, mut off_axis) = (None, Work::default(), 0);
         let bar = progress::bar("playing frames", frames.len());
@@ -105,10 +129,8 @@ impl Arguments {
                 due_s +=
                     next.filter(|s| s.is_finite()).unwrap_or(FRAME_INTERVAL_S).clamp(0.0, LONGEST_WAIT_S);
             }
-            let before = Instant::now();
-            let pushed = live.push(frame);
-            times_ms.push(before.elapsed().as_secs_f64() * 1e3);
-            let change = pushed.map_err(|e| e.in_file(&self.recording))?;
+            let change = live.push(frame).map_err(|e| e.in_file(&self.recording))?;
+            times.push(change.times);
             off_axis += usize::from(change.off_axis);
             if change.restarted {
                 restarts.push(k);
@@ -146,7 +168,8 @@ impl Arguments {
             suspicions: Screening::of(&settings.conventions.apply(&recording)).suspicions,
             off_axis,
             first_frame,
-            push_ms: Percentiles::of(times_ms),
+            push_ms: Percentiles::of(times.iter().map(|times| times.total_s * 1e3).collect()),
+            stages_ms: Stages::of(&times),
             most_work,
             rings,
             nodes: vessel.nodes_mm.len(),
@@ -189,6 +212,11 @@ impl Summary<'_> {
         println!("rings      {} after each tenth of the frames", rings.join(", "));
         println!(
             "a frame    {p50:.2} ms in the median, 95 % {p95:.2}, 99 % {p99:.2}, the longest {max:.2} ms"
+        );
+        let Stages { screening, axis, placing, solving } = &self.stages_ms;
+        println!(
+            "           of which at 99 %: screening {:.2}, axis {:.2}, placing {:.2}, solving {:.2} ms",
+            screening.p99, axis.p99, placing.p99, solving.p99
         );
         println!(
             "at most    {} echoes looked at and {} rings computed for a frame",

@@ -92,6 +92,11 @@ impl SettingsArguments {
         self.conventions.read(recording)
     }
 
+    /// What of the command line beside the settings changes how a recording is read, as text.
+    pub(super) fn reading(&self) -> String {
+        format!("{:?}", self.conventions.columns())
+    }
+
     /// The settings of the file, or the defaults, with the flags on top.
     pub(super) fn settings(&self) -> Result<Settings> {
         let mut settings = match &self.config {

@@ -1,14 +1,16 @@
 //! The published method, frame by frame.
 
-use super::estimate::LocalEstimate;
-use super::fit::{Engine, FitRequest, engine};
+use super::estimate::{CylinderEstimator, LocalEstimate};
+use super::fit::{Engine, FitRequest};
 use super::merge::MergedVessel;
 use super::track::Track;
 use crate::geometry::Pose;
 use crate::recording::Frame;
 use crate::settings::{Merge, Settings};
 use crate::{Error, Result};
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
+use std::time::Instant;
 
 /// Newest frames that are kept within [`REST_MM`] of a frame's centre; older ones are dropped.
 pub(crate) const MAX_FRAMES_AT_REST: usize = 512;
@@ -19,11 +21,31 @@ pub(crate) const REST_MM: f64 = 2.0;
 pub(crate) struct LiveCylinders {
     settings: Settings,
     engine: Box<dyn Engine>,
+    state: State,
+}
+
+/// What frames have left behind.
+#[derive(Serialize, Deserialize)]
+struct State {
+    estimator: LocalEstimate,
     track: Track,
     /// Frames with a contour, and the last pose.
     seen: usize,
     pose: Pose,
-    pub vessel: MergedVessel,
+    vessel: MergedVessel,
+}
+
+impl State {
+    fn new(settings: &Settings) -> Self {
+        let sensor_from_probe = settings.calibration.sensor_from_probe();
+        Self {
+            estimator: LocalEstimate::new(sensor_from_probe),
+            track: Track::without_estimator(sensor_from_probe),
+            seen: 0,
+            pose: Pose::IDENTITY,
+            vessel: MergedVessel::default(),
+        }
+    }
 }
 
 /// Changes of the vessel through one frame.
@@ -35,10 +57,13 @@ pub(crate) struct Step {
     pub echoes: usize,
     /// Rings whose radii were computed.
     pub rings: usize,
+    /// Times of placing the frame, and of fitting and stitching, s.
+    pub placing_s: f64,
+    pub solving_s: f64,
 }
 
 impl LiveCylinders {
-    pub fn new(settings: &Settings) -> Result<Self> {
+    pub fn new(settings: &Settings, engine: Box<dyn Engine>) -> Result<Self> {
         if settings.merge != Merge::Stitch {
             return Err(Error::Setting {
                 name: "merge".into(),
@@ -46,45 +71,66 @@ impl LiveCylinders {
                 expected: "stitch, as cylinders are merged live".into(),
             });
         }
-        let sensor_from_probe = settings.calibration.sensor_from_probe();
-        let estimator = LocalEstimate::new(sensor_from_probe);
-        Ok(Self {
-            settings: settings.clone(),
-            engine: engine(settings)?,
-            track: Track::new(sensor_from_probe, Box::new(estimator)),
-            seen: 0,
-            pose: Pose::IDENTITY,
-            vessel: MergedVessel::default(),
-        })
+        Ok(Self { settings: settings.clone(), engine, state: State::new(settings) })
+    }
+
+    /// Forgets all frames.
+    pub fn reset(&mut self) {
+        self.state = State::new(&self.settings);
+    }
+
+    /// The vessel so far.
+    pub fn vessel(&self) -> &MergedVessel {
+        &self.state.vessel
+    }
+
+    /// What frames have left behind, to be [restored](Self::restore).
+    pub fn state(&self) -> &impl Serialize {
+        &self.state
+    }
+
+    /// Goes on with a state that was read from a file; whether it is sound and fits the settings. If not, nothing changes.
+    pub fn go_on<'a>(&mut self, bytes: &'a [u8]) -> Option<&'a [u8]> {
+        let (mut state, rest) = postcard::take_from_bytes::<State>(bytes).ok()?;
+        let nodes = self.settings.nodes as usize;
+        let sound = state.track.complete() && state.estimator.is_sound() && state.vessel.has_rings_of(nodes);
+        sound.then(|| self.state = state)?;
+        Some(rest)
     }
 
     /// Appends a frame; every `every`-th one with a contour adds a cylinder. `None` keeps the place of a frame that is left
     /// out.
     pub fn push(&mut self, frame: Option<&Frame>) -> Result<Step> {
         let Some(frame) = frame else {
-            self.track.push(&Frame::new(self.pose, Vec::new()))?;
+            self.state.track.push(&Frame::new(self.state.pose, Vec::new()))?;
             return Ok(Step::default());
         };
-        self.pose = frame.world_from_sensor;
-        self.track.push(frame)?;
-        self.track.drop_oldest_near(REST_MM, MAX_FRAMES_AT_REST);
+        let start = Instant::now();
+        frame.check(self.state.track.len())?;
+        self.state.pose = frame.world_from_sensor;
+        let estimate = self.state.estimator.push(frame);
+        self.state.track.push_with(frame, estimate)?;
+        self.state.track.drop_oldest_near(REST_MM, MAX_FRAMES_AT_REST);
+        let mut step = Step { placing_s: start.elapsed().as_secs_f64(), ..Step::default() };
         if frame.echoes_mm().next().is_none() {
-            return Ok(Step::default());
+            return Ok(step);
         }
-        self.seen += 1;
-        if !self.seen.is_multiple_of(self.settings.every as usize) {
-            return Ok(Step::default());
+        self.state.seen += 1;
+        if !self.state.seen.is_multiple_of(self.settings.every as usize) {
+            return Ok(step);
         }
-        let count = self.track.len();
-        let fitted = self.engine.fit(&FitRequest::new(&self.track, &[count - 1], &self.settings))?.cylinders;
-        let mut step = Step::default();
-        let mut first = self.vessel.rings.len();
+        let start = Instant::now();
+        let count = self.state.track.len();
+        let fitted =
+            self.engine.fit(&FitRequest::new(&self.state.track, &[count - 1], &self.settings))?.cylinders;
+        let mut first = self.state.vessel.rings.len();
         for cylinder in &fitted {
-            first = first.min(self.vessel.stitch(cylinder, &cylinder.tube.radii_mm));
+            first = first.min(self.state.vessel.stitch(cylinder, &cylinder.tube.radii_mm));
             step.echoes += (cylinder.tube.points + cylinder.tube.gated) as usize;
             step.rings += cylinder.tube.tube.levels + 1;
         }
-        step.changed.push(first..self.vessel.rings.len());
+        step.changed.push(first..self.state.vessel.rings.len());
+        step.solving_s = start.elapsed().as_secs_f64();
         Ok(step)
     }
 }

@@ -29,6 +29,7 @@ use crate::settings::{Settings, UnfitFrames};
 use crate::{Error, Result};
 use merge::MergedVessel;
 use serde::Serialize;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
@@ -110,7 +111,7 @@ impl CylinderReconstruction {
     /// # Errors
     /// Where settings are invalid, the recording has fewer than `every` frames, or a frame cannot be used.
     pub fn of(recording: &Recording, settings: &Settings, engine: &dyn Engine) -> Result<Self> {
-        Self::run(recording, settings, engine, false, &|_, _| ())
+        Self::run(recording, settings, engine, false, &|_, _| ControlFlow::Continue(()))
     }
 
     /// As [`of`](Self::of). With `history`, cylinders keep their radii of every iteration. `progress` is called with the
@@ -123,7 +124,7 @@ impl CylinderReconstruction {
         settings: &Settings,
         engine: &dyn Engine,
         history: bool,
-        progress: &(dyn Fn(usize, usize) + Sync),
+        progress: &(dyn Fn(usize, usize) -> ControlFlow<()> + Sync),
     ) -> Result<Self> {
         settings.validate()?;
         let start = Instant::now();

@@ -6,6 +6,7 @@ use crate::recording::{CylinderModel, Frame, Recording};
 use crate::settings::Settings;
 use crate::{Error, Result};
 use glam::{DVec2, DVec3, I64Vec3};
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 
@@ -13,14 +14,18 @@ use std::ops::Range;
 ///
 /// Appending a frame does not change earlier ones, and a cylinder uses only its own frame and earlier ones, so that
 /// cylinders can be fitted while the catheter still moves.
+#[derive(Serialize, Deserialize)]
 pub struct Track {
     sensor_from_probe: Pose,
+    #[serde(skip, default = "no_estimate")]
     estimator: Box<dyn CylinderEstimator + Send + Sync>,
     /// By number, without dropped frames.
     frames: BTreeMap<usize, PlacedFrame>,
     /// Number of frames that were appended.
     count: usize,
     estimated: usize,
+    /// Where the frames lie: it follows from them.
+    #[serde(skip)]
     places: HashMap<Option<I64Vec3>, Place>,
     echoes_mm: Vec<DVec2>,
     /// Number of echoes of frames that were not dropped.
@@ -35,6 +40,19 @@ const MIN_WASTE: usize = 100_000;
 /// Frames whose centre or size exceeds this share one place, mm.
 const MAX_DISTANCE_MM: f64 = 1e6;
 
+/// Estimates nothing.
+struct NoEstimate;
+
+impl CylinderEstimator for NoEstimate {
+    fn push(&mut self, _: &Frame) -> Option<CylinderModel> {
+        None
+    }
+}
+
+fn no_estimate() -> Box<dyn CylinderEstimator + Send + Sync> {
+    Box::new(NoEstimate)
+}
+
 /// The frames whose centres lie in one cube of the world.
 #[derive(Debug, Default)]
 struct Place {
@@ -45,7 +63,7 @@ struct Place {
 }
 
 /// A frame in the world.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct PlacedFrame {
     /// `wTi`.
     world_from_probe: Pose,
@@ -71,7 +89,7 @@ impl PlacedFrame {
 }
 
 /// The local cylinder of a frame, in the world.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct PlacedCylinder {
     /// `wTcyl`; the long axis is x.
@@ -144,6 +162,36 @@ impl Track {
         shown.iter().try_for_each(|frame| track.push(frame))?;
         rest.iter().try_for_each(|frame| track.place(frame, |_| None))?;
         Ok(track)
+    }
+
+    /// A track whose frames are appended by [`push_with`](Self::push_with).
+    pub(in crate::cylinders) fn without_estimator(sensor_from_probe: Pose) -> Self {
+        Self::new(sensor_from_probe, no_estimate())
+    }
+
+    /// Appends a frame with the estimate of its cylinder, for where it has none of its own.
+    pub(in crate::cylinders) fn push_with(
+        &mut self,
+        frame: &Frame,
+        estimate: Option<CylinderModel>,
+    ) -> Result<()> {
+        self.place(frame, |_| estimate)
+    }
+
+    /// What a track that was read from a file needs beside its content; `false` where that does not fit together.
+    pub(in crate::cylinders) fn complete(&mut self) -> bool {
+        let mut kept = 0_usize;
+        for (&number, frame) in &self.frames {
+            let sound = frame.echoes.start <= frame.echoes.end && frame.echoes.end <= self.echoes_mm.len();
+            if !sound || number >= self.count {
+                return false;
+            }
+            kept += frame.echoes.len();
+            let place = self.places.entry(frame.place()).or_default();
+            place.frames.push(number);
+            place.reach_mm = place.reach_mm.max(frame.reach_mm);
+        }
+        kept == self.kept
     }
 
     /// Appends a frame. Its own cylinder model takes precedence over the estimate.

@@ -1,11 +1,12 @@
 use glam::{DMat3, DQuat, DVec3};
+use serde::{Deserialize, Serialize};
 use std::ops::Mul;
 
 /// A rigid transform `aTb`: takes a point's coordinates in `{b}` to its coordinates in `{a}`.
 ///
 /// Written `a_from_b` in names, so that a product reads like the thesis's chains: `wTi = wTe · eTi` is
 /// `world_from_sensor * sensor_from_probe`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// Rotation; its columns are `{b}`'s axes in `{a}`.
     pub rotation: DMat3,

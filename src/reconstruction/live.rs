@@ -22,14 +22,17 @@
 //! # Ok::<(), lumenmesh::Error>(())
 //! ```
 
+use super::{Lumen, Reconstructor};
 use crate::cylinders::live::{LiveCylinders, MAX_FRAMES_AT_REST, REST_MM};
-use crate::recording::{Frame, Judged, LeftOut, LiveScreening, Reason};
+use crate::cylinders::{Engine, engine};
+use crate::recording::{Frame, Judged, LeftOut, LiveScreening, Reason, Recording};
 use crate::settings::{Backend, Method, Settings, UnfitFrames};
 use crate::surface::Surface;
 use crate::sweep::LiveSweep;
 use crate::{Error, Result};
 use serde::Serialize;
 use std::ops::Range;
+use std::time::Instant;
 
 /// A vessel that grows frame by frame.
 ///
@@ -38,13 +41,15 @@ use std::ops::Range;
 /// [`MAX_FRAMES_AT_REST`](Self::MAX_FRAMES_AT_REST) frames anywhere. With `sweep` it comes near to
 /// [`Sweep::of`](crate::sweep::Sweep::of), which looks at all echoes at once.
 pub struct Live {
-    settings: Settings,
-    frames: usize,
-    screening: LiveScreening,
-    vessel: Vessel,
+    pub(super) settings: Settings,
+    pub(super) frames: usize,
+    /// All frames, for [`finish`](Self::finish), where they are kept.
+    pub(super) kept: Option<Recording>,
+    pub(super) screening: LiveScreening,
+    pub(super) vessel: Vessel,
 }
 
-enum Vessel {
+pub(super) enum Vessel {
     Cylinders(Box<LiveCylinders>),
     Sweep(Box<LiveSweep>),
 }
@@ -52,17 +57,29 @@ enum Vessel {
 impl Vessel {
     fn new(settings: &Settings) -> Result<Self> {
         Ok(match settings.method {
-            Method::Cylinders => Vessel::Cylinders(Box::new(LiveCylinders::new(settings)?)),
+            Method::Cylinders => {
+                Vessel::Cylinders(Box::new(LiveCylinders::new(settings, engine(settings)?)?))
+            }
             Method::Sweep => {
                 check_sweep(settings)?;
                 Vessel::Sweep(Box::new(LiveSweep::new(settings)))
             }
         })
     }
+
+    /// Forgets all frames; the engine stays.
+    fn reset(&mut self) {
+        match self {
+            Vessel::Cylinders(cylinders) => cylinders.reset(),
+            Vessel::Sweep(sweep) => sweep.reset(),
+        }
+    }
 }
 
 /// What a frame changed. Rings are numbered along the vessel; ring k has the nodes from k times [`Live::nodes`] on.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+///
+/// Two changes are equal if all but their [`times`](Self::times) are: the same frames make equal changes on every machine.
+#[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub struct Change {
     /// The frame's number: how many were taken before it.
@@ -83,9 +100,24 @@ pub struct Change {
     pub waiting: usize,
     /// Whether the vessel began anew, because what was shown before came from frames that are left out now. All rings are new.
     pub restarted: bool,
-    /// What it took.
+    /// How much was computed.
     pub work: Work,
+    /// How long that took.
+    pub times: Times,
 }
+
+impl PartialEq for Change {
+    fn eq(&self, other: &Self) -> bool {
+        let Self { frame, before, changed, rings, off_axis, left_out, waiting, restarted, work, times: _ } =
+            self;
+        let others = (&other.frame, &other.before, &other.changed, &other.rings, &other.off_axis);
+        (frame, before, changed, rings, off_axis) == others
+            && (left_out, waiting, restarted, work)
+                == (&other.left_out, &other.waiting, &other.restarted, &other.work)
+    }
+}
+
+impl Eq for Change {}
 
 impl Change {
     /// Adds what another frame changed after this.
@@ -124,6 +156,22 @@ pub struct Work {
     pub rings: usize,
 }
 
+/// How long the stages of a frame took, in seconds of wall-clock time.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[non_exhaustive]
+pub struct Times {
+    /// Judging whether the frame is fit for use.
+    pub screening_s: f64,
+    /// Drawing the axis of a swept vessel anew, and placing older echoes about it; 0 of cylinders.
+    pub axis_s: f64,
+    /// Placing the frame and its echoes; of cylinders also the estimate of the frame's cylinder.
+    pub placing_s: f64,
+    /// Solving for the wall, or fitting a cylinder and stitching it to the vessel.
+    pub solving_s: f64,
+    /// All of the frame.
+    pub total_s: f64,
+}
+
 impl Live {
     /// Frames that a cylinder looks at in one place, the newest: within [`REST_MM`](Self::REST_MM) of a frame's centre
     /// older ones are forgotten.
@@ -138,17 +186,64 @@ impl Live {
     /// blended cylinders, a sweep's corrections of the tracker, or its fit on a device.
     pub fn new(settings: &Settings) -> Result<Self> {
         settings.validate()?;
-        let vessel = Vessel::new(settings)?;
-        Ok(Self { settings: settings.clone(), frames: 0, screening: LiveScreening::default(), vessel })
+        Ok(Self::of(settings, Vessel::new(settings)?))
+    }
+
+    /// As [`new`](Self::new) for the method `cylinders`, whose fits an engine of the host's computes, such as a `GpuEngine` on
+    /// the host's own device.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new), and where the settings have another method: a live sweep has no engine to choose.
+    pub fn with_engine(settings: &Settings, engine: Box<dyn Engine>) -> Result<Self> {
+        settings.validate()?;
+        if settings.method != Method::Cylinders {
+            return Err(Error::setting("method", "sweep", "cylinders for an engine of the host's"));
+        }
+        Ok(Self::of(settings, Vessel::Cylinders(Box::new(LiveCylinders::new(settings, engine)?))))
+    }
+
+    fn of(settings: &Settings, vessel: Vessel) -> Self {
+        let screening = LiveScreening::default();
+        Self { settings: settings.clone(), frames: 0, kept: None, screening, vessel }
+    }
+
+    /// Keeps all frames from now on, for [`finish`](Self::finish): 16 bytes for each point of a contour, and some 200 more for
+    /// each frame. Without this, memory grows with the vessel's length only.
+    ///
+    /// # Errors
+    /// [`Error::Recording`] where frames have come already.
+    pub fn keep_frames(&mut self) -> Result<()> {
+        if self.kept.is_none() && self.frames > 0 {
+            return Err(Error::Recording {
+                field: "frames of a live vessel",
+                found: format!("{} that were not kept", self.frames),
+                expected: "none before the first one that is kept".into(),
+            });
+        }
+        self.kept.get_or_insert_default();
+        Ok(())
+    }
+
+    /// The lumen of all frames at once, as [`Reconstructor::run`] makes it of a recording of them: more accurate than a
+    /// swept vessel that grew. The vessel stays as it is, and more frames may follow.
+    ///
+    /// # Errors
+    /// [`Error::Recording`] where frames were not [kept](Self::keep_frames), and as [`Reconstructor::run`].
+    pub fn finish(&self) -> Result<Lumen> {
+        let kept = self.kept.as_ref().ok_or_else(|| Error::Recording {
+            field: "frames of a live vessel",
+            found: format!("{} that were not kept", self.frames),
+            expected: "frames that are kept from the first on".into(),
+        })?;
+        Reconstructor::new(self.settings.clone()).run(kept)
     }
 
     /// Forgets all frames: the next one begins a new vessel with the same settings.
-    ///
-    /// # Errors
-    /// As [`new`](Self::new).
-    pub fn reset(&mut self) -> Result<()> {
-        *self = Self::new(&self.settings)?;
-        Ok(())
+    pub fn reset(&mut self) {
+        self.frames = 0;
+        self.kept = self.kept.take().map(|_| Recording::default());
+        self.screening = LiveScreening::default();
+        self.vessel.reset();
     }
 
     /// Takes the next frame and brings the mesh up to date. What is done with an unfit frame, the settings say.
@@ -157,7 +252,9 @@ impl Live {
     /// [`Error::Frame`] where the frame is unfit and the settings refuse it, or it has a [defect](Frame::defects) and they
     /// keep unfit frames: the vessel is then as before. Also where the device fails.
     pub fn push(&mut self, frame: &Frame) -> Result<Change> {
+        let start = Instant::now();
         let number = self.frames;
+        let as_it_came = frame;
         let frame = self.settings.conventions.apply_to(frame);
         let judged = match self.settings.unfit_frames {
             UnfitFrames::Keep => {
@@ -167,7 +264,10 @@ impl Live {
             _ => self.screening.push(&frame),
         };
         self.frames += 1;
-        self.take(number, judged)
+        if let Some(kept) = &mut self.kept {
+            kept.frames.push(as_it_came.clone());
+        }
+        self.take(number, judged, start)
     }
 
     /// Ends the waiting for frames that jump off the path of the others: they are left out. After the last frame.
@@ -175,15 +275,18 @@ impl Live {
     /// # Errors
     /// As [`push`](Self::push).
     pub fn flush(&mut self) -> Result<Change> {
+        let start = Instant::now();
         let judged = self.screening.flush();
-        self.take(self.frames.saturating_sub(1), judged)
+        self.take(self.frames.saturating_sub(1), judged, start)
     }
 
-    fn take(&mut self, number: usize, judged: Judged) -> Result<Change> {
+    /// Takes the frames that are judged; their screening began at `start`.
+    fn take(&mut self, number: usize, judged: Judged, start: Instant) -> Result<Change> {
         let Judged { restart, frames, left_out } = judged;
         let mut change = Change { frame: number, restarted: restart, left_out, ..Change::default() };
+        change.times.screening_s = start.elapsed().as_secs_f64();
         if restart {
-            self.vessel = Vessel::new(&self.settings)?;
+            self.vessel.reset();
         }
         for (number, frame) in frames {
             match &mut self.vessel {
@@ -191,6 +294,8 @@ impl Live {
                     Ok(step) => {
                         let work = Work { echoes: step.echoes, rings: step.rings };
                         change.add(0, step.changed, false, work);
+                        change.times.placing_s += step.placing_s;
+                        change.times.solving_s += step.solving_s;
                     }
                     Err(error) => change.left_out.push(LeftOut::because(error, Reason::NoCylinder)?),
                 },
@@ -199,6 +304,9 @@ impl Live {
                     let step = sweep.push(number, frame)?;
                     let work = Work { echoes: step.echoes, rings: step.rings };
                     change.add(step.before, step.changed, step.off_axis, work);
+                    change.times.axis_s += step.axis_s;
+                    change.times.placing_s += step.placing_s;
+                    change.times.solving_s += step.solving_s;
                 }
             }
         }
@@ -208,6 +316,7 @@ impl Live {
         }
         change.tidy(self.rings());
         change.waiting = self.screening.waiting();
+        change.times.total_s = start.elapsed().as_secs_f64();
         let unfit = change.left_out.iter().find(|one| one.reason.is_unfit());
         match unfit.filter(|_| self.settings.unfit_frames == UnfitFrames::Refuse) {
             Some(unfit) => Err(unfit.clone().into_error()),
@@ -223,7 +332,7 @@ impl Live {
     /// Rings of the vessel.
     pub fn rings(&self) -> usize {
         match &self.vessel {
-            Vessel::Cylinders(cylinders) => cylinders.vessel.rings.len(),
+            Vessel::Cylinders(cylinders) => cylinders.vessel().rings.len(),
             Vessel::Sweep(sweep) => sweep.rings(),
         }
     }
@@ -232,7 +341,7 @@ impl Live {
     pub fn nodes(&self) -> usize {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => {
-                cylinders.vessel.rings.first().map_or(0, |ring| ring.nodes_mm.len())
+                cylinders.vessel().rings.first().map_or(0, |ring| ring.nodes_mm.len())
             }
             Vessel::Sweep(sweep) => sweep.nodes(),
         }
@@ -243,7 +352,7 @@ impl Live {
     /// it; a vessel that has not begun has no nodes.
     pub fn surface(&self) -> Surface {
         match &self.vessel {
-            Vessel::Cylinders(cylinders) => cylinders.vessel.surface(),
+            Vessel::Cylinders(cylinders) => cylinders.vessel().surface(),
             Vessel::Sweep(sweep) => sweep.surface(0..sweep.rings(), self.settings.sweep.keep_unsupported),
         }
     }
@@ -254,7 +363,7 @@ impl Live {
         let end = rings.end.min(self.rings());
         let rings = rings.start.min(end)..end;
         match &self.vessel {
-            Vessel::Cylinders(cylinders) => cylinders.vessel.part(rings),
+            Vessel::Cylinders(cylinders) => cylinders.vessel().part(rings),
             Vessel::Sweep(sweep) => sweep.surface(rings, true),
         }
     }
@@ -272,6 +381,7 @@ fn check_sweep(settings: &Settings) -> Result<()> {
         return refused("sweep.estimate_offset", "true", "false");
     }
     if settings.backend == Backend::Gpu {
+        // A frame solves for at most 48 rings: it would wait for the device longer than it computes.
         return refused("backend", "gpu", "auto or cpu");
     }
     Ok(())

@@ -3,8 +3,9 @@
 //! [`Reconstructor`] reconstructs whole recordings, [`Live`] takes frames one at a time.
 
 mod live;
+mod snapshot;
 
-pub use live::{Change, Live, Work};
+pub use live::{Change, Live, Times, Work};
 
 use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, engine};
 use crate::recording::{Recording, Screened, Screening};
@@ -13,6 +14,7 @@ use crate::surface::Surface;
 use crate::sweep::{Sweep, SweepReport};
 use crate::{Error, Result};
 use serde::Serialize;
+use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
 /// Reconstructs the lumen of recordings. The engine that fits the cylinders is started once and kept for further runs.
@@ -21,10 +23,14 @@ use std::sync::OnceLock;
 /// use lumenmesh::reconstruction::Reconstructor;
 /// use lumenmesh::recording::Recording;
 /// use lumenmesh::settings::Settings;
+/// use std::ops::ControlFlow;
 ///
 /// let recording = Recording::read("pullback.mat".as_ref())?;
 /// let reconstructor = Reconstructor::new(Settings::default())
-///     .on_progress(|progress| eprintln!("{}: {} of {}", progress.stage, progress.done, progress.total));
+///     .on_progress(|progress| {
+///         eprintln!("{}: {} of {}", progress.stage, progress.done, progress.total);
+///         ControlFlow::Continue(())
+///     });
 /// let lumen = reconstructor.run(&recording)?;
 /// lumen.surface().write("vessel.vtp".as_ref())?;
 /// # Ok::<(), lumenmesh::Error>(())
@@ -32,7 +38,7 @@ use std::sync::OnceLock;
 pub struct Reconstructor<'a> {
     settings: Settings,
     history: bool,
-    on_progress: Box<dyn Fn(Progress) + Send + Sync + 'a>,
+    on_progress: Box<dyn Fn(Progress) -> ControlFlow<()> + Send + Sync + 'a>,
     engine: OnceLock<Box<dyn Engine>>,
 }
 
@@ -51,13 +57,19 @@ pub struct Progress {
 impl<'a> Reconstructor<'a> {
     /// A reconstructor with these settings. They are checked by [`run`](Self::run).
     pub fn new(settings: Settings) -> Self {
-        Self { settings, history: false, on_progress: Box::new(|_| ()), engine: OnceLock::new() }
+        Self {
+            settings,
+            history: false,
+            on_progress: Box::new(|_| ControlFlow::Continue(())),
+            engine: OnceLock::new(),
+        }
     }
 
     /// Calls `report` whenever a step is done, from any thread: the sweep reports its stages, the published method its
-    /// cylinders. A call must not block.
+    /// cylinders. A call must not block. Where one breaks, [`run`](Self::run) ends with [`Error::Cancelled`]: cylinders after
+    /// those that are being fitted, a sweep before its next stage.
     #[must_use]
-    pub fn on_progress(mut self, report: impl Fn(Progress) + Send + Sync + 'a) -> Self {
+    pub fn on_progress(mut self, report: impl Fn(Progress) -> ControlFlow<()> + Send + Sync + 'a) -> Self {
         self.on_progress = Box::new(report);
         self
     }
@@ -75,6 +87,7 @@ impl<'a> Reconstructor<'a> {
     /// # Errors
     /// Where settings are invalid or ask for a device that is not there, more frames are unfit than
     /// [`Screening::MAX_SHARE`] or any where the settings refuse them, or the contours cover no length of a vessel.
+    /// [`Error::Cancelled`] where [`on_progress`](Self::on_progress) asks for that.
     pub fn run(&self, recording: &Recording) -> Result<Lumen> {
         self.settings.validate()?;
         let Screened { recording, screening } =

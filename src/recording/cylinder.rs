@@ -2,13 +2,14 @@
 
 use crate::geometry::Pose;
 use glam::{DMat3, DVec3};
+use serde::{Deserialize, Serialize};
 
 /// Larger than any vessel's radius, and small enough that squares of lengths stay within f32, mm.
 pub(crate) const MAX_RADIUS_MM: f64 = 10_000.0;
 
 /// A cylinder in the tracker sensor's frame `{e}`: the point where its axis meets the plane z = 0, the direction of the
 /// axis, and the radius (thesis, Eq. 4).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CylinderModel {
     /// x of the axis in the plane z = 0 of `{e}`, mm.
     pub px_mm: f64,

@@ -23,13 +23,14 @@ use crate::geometry::{Pose, polygon};
 use crate::output::ending;
 use crate::{Error, Result};
 use glam::DVec2;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Between frames without a time, s: the thesis's frame rate.
 pub const FRAME_INTERVAL_S: f64 = 1.0 / 12.0;
 
 /// One IVUS frame: a contour and the pose of the tracker sensor when it was taken.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Frame {
     /// `wTe`: the tracker sensor in the world, mm.

@@ -23,6 +23,7 @@ pub use tracker::Tracker;
 pub use wall::gpu::GpuWallEngine;
 
 use crate::engine::EngineDescription;
+use crate::error::unless_cancelled;
 use crate::recording::Recording;
 use crate::settings::Settings;
 use crate::surface::Surface;
@@ -32,11 +33,12 @@ use prepare::echo::Echo;
 use prepare::grid::WallGrid;
 use prepare::noise::outward_bias_mm;
 use report::{FittedWall, timed};
+use std::ops::ControlFlow;
 use wall::engine;
 use wall::fit::Wall;
 
 /// Told of the stage that begins, the number of stages done, and their number in all.
-pub type StageProgress<'a> = dyn Fn(&'static str, usize, usize) + 'a;
+pub type StageProgress<'a> = dyn Fn(&'static str, usize, usize) -> ControlFlow<()> + 'a;
 
 /// The stages of a sweep: axis, place, fit, tracker, support.
 const STAGES: usize = 5;
@@ -65,7 +67,7 @@ impl Sweep {
     /// # Errors
     /// Where settings are invalid, a frame cannot be used, or the contours cover no length of a vessel.
     pub fn of(recording: &Recording, settings: &Settings) -> Result<Self> {
-        Self::run(recording, settings, &|_, _, _| ())
+        Self::run(recording, settings, &|_, _, _| ControlFlow::Continue(()))
     }
 
     /// As [`Sweep::of`], and calls `progress` with the stage that begins, the number of stages done, and their number in
@@ -83,7 +85,7 @@ impl Sweep {
     /// As [`Sweep::of`], and [`Error::Gpu`] where the device fails.
     #[cfg(feature = "gpu")]
     pub fn on_device(recording: &Recording, settings: &Settings, device: &GpuWallEngine) -> Result<Self> {
-        Self::fitted(recording, settings, &|_, _, _| (), |grid, echoes| {
+        Self::fitted(recording, settings, &|_, _, _| ControlFlow::Continue(()), |grid, echoes| {
             engine::fit_on_device(grid, echoes, settings, device).map(|wall| (wall, device.describe()))
         })
     }
@@ -97,17 +99,18 @@ impl Sweep {
         settings.validate()?;
         recording.check()?;
         let mut seconds = SweepTimings::default();
-        progress("finding the axis", 0, STAGES);
+        let progress = |stage, done| unless_cancelled(progress(stage, done, STAGES));
+        progress("finding the axis", 0)?;
         let prepared = timed(&mut seconds.axis, || Prepared::of(recording, settings))?;
-        progress("placing the echoes", 1, STAGES);
+        progress("placing the echoes", 1)?;
         let mut echoes = timed(&mut seconds.place, || prepared.echoes(&prepared.sensors()));
-        progress("fitting the wall", 2, STAGES);
+        progress("fitting the wall", 2)?;
         let (mut wall, engine) = timed(&mut seconds.fit, || fit(&prepared.grid, &mut echoes))?;
-        progress("correcting the poses", 3, STAGES);
+        progress("correcting the poses", 3)?;
         let tracker = timed(&mut seconds.tracker, || {
             Tracker::correct(&prepared, &settings.sweep, &mut echoes, &mut wall)
         })?;
-        progress("estimating the standard errors", 4, STAGES);
+        progress("estimating the standard errors", 4)?;
         let tangential_noise_mm = prepared.tangential_noise_mm().min(wall.noise_mm);
         for radius in &mut wall.radii_mm {
             *radius -= outward_bias_mm(*radius, tangential_noise_mm);
@@ -128,7 +131,7 @@ impl Sweep {
         let fitted = FittedWall { wall, echoes, engine, tracker, tangential_noise_mm };
         let report = SweepReport::of(&prepared, &fitted, &support, seconds);
         let Prepared { axis, grid, .. } = prepared;
-        progress("done", STAGES, STAGES);
+        progress("done", STAGES)?;
         Ok(Self { axis, nodes: grid.nodes, radii_mm: fitted.wall.radii_mm, support, report })
     }
 

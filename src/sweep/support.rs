@@ -6,12 +6,13 @@ use super::wall::fit::Wall;
 use super::wall::residual::is_inlier;
 use crate::numerics::robust::median;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Echoes or nodes per parallel task.
 const TASK: usize = 8192;
 
 /// The data that support the radius of each node. All lists have one value per node.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Support {
     /// Echoes nearer to the node than to the two others of their triangle; with a half-life, their weight.
@@ -48,6 +49,13 @@ impl Support {
             last_frame: Vec::new(),
             supported: Vec::new(),
         }
+    }
+
+    /// Whether there is a value for each of so many nodes.
+    pub(super) fn is_of(&self, nodes: usize) -> bool {
+        let Self { echoes, residual_mm, standard_error_mm, last_frame, supported } = self;
+        [echoes.len(), residual_mm.len(), standard_error_mm.len(), last_frame.len(), supported.len()]
+            == [nodes; 5]
     }
 
     /// Inserts nodes without support.
@@ -109,7 +117,7 @@ pub(super) fn max_error_mm(median_mm: f64, grid: &WallGrid) -> f64 {
 }
 
 /// Sums over the echoes nearest to each node of a grid.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Tally {
     /// Per node: weight of the echoes on the wall, of those off it, and the former's squared residuals, mm².
     sums: Vec<[f64; 3]>,
@@ -128,6 +136,11 @@ pub(super) struct NodeStatistics {
 impl Tally {
     pub(super) fn new(nodes: usize) -> Self {
         Self { sums: vec![[0.0; 3]; nodes], last_frame: vec![None; nodes] }
+    }
+
+    /// Whether it is one of so many nodes.
+    pub(super) fn covers(&self, nodes: usize) -> bool {
+        self.sums.len() == nodes && self.last_frame.len() == nodes
     }
 
     /// Adds echoes of some weight whose squared residuals, times weight, sum to `squares_mm2`.

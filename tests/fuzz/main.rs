@@ -12,3 +12,4 @@ mod meshes;
 mod mutate;
 mod recordings;
 mod settings;
+mod snapshots;

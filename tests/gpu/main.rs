@@ -15,6 +15,7 @@ mod grouping;
 mod host;
 mod instance;
 mod large;
+mod live;
 mod measure;
 mod noop;
 mod nudge;

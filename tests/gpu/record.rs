@@ -10,6 +10,7 @@ use lumenmesh::low_level::cylinders::passes::Section;
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
 use std::cell::RefCell;
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
@@ -151,12 +152,14 @@ fn a_device_with_little_room_takes_a_job_in_batches() {
         let batches = AtomicUsize::new(0);
         let count = |_| {
             batches.fetch_add(1, Ordering::Relaxed);
+            ControlFlow::Continue(())
         };
         let request = FitRequest::new(&track, &frames, &settings).with_history(true).with_progress(&count);
         let found = little.fit(&request).unwrap().cylinders;
         let batches = batches.load(Ordering::Relaxed);
         assert!((2..=frames.len()).contains(&batches), "{batches} batches of {} cylinders", frames.len());
-        let expected = device.engine.fit(&request.with_progress(&|_| ())).unwrap().cylinders;
+        let expected =
+            device.engine.fit(&request.with_progress(&|_| ControlFlow::Continue(()))).unwrap().cylinders;
         for (found, expected) in found.iter().zip(&expected) {
             assert_eq!(found.frame, expected.frame);
             assert_same(&found.tube, &expected.tube);

@@ -15,6 +15,7 @@ use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Outliers, Settings, Statistic};
 use lumenmesh::surface::Surface;
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 #[test]
@@ -34,13 +35,16 @@ fn a_recording_fits_as_on_the_cpu_with_every_rule_and_grid() {
                 let ready = AtomicUsize::new(0);
                 let count = |n: usize| {
                     ready.fetch_add(n, Ordering::Relaxed);
+                    ControlFlow::Continue(())
                 };
                 let request =
                     FitRequest::new(&track, &frames, &settings).with_history(true).with_progress(&count);
                 let found = device.engine.fit(&request).unwrap().cylinders;
                 assert_eq!(ready.load(Ordering::Relaxed), frames.len());
-                let expected =
-                    CpuEngine::<f32>::new().fit(&request.with_progress(&|_| ())).unwrap().cylinders;
+                let expected = CpuEngine::<f32>::new()
+                    .fit(&request.with_progress(&|_| ControlFlow::Continue(())))
+                    .unwrap()
+                    .cylinders;
                 assert_all_agree(device, &found, &expected, &recording, &settings);
             }
         }

@@ -52,7 +52,35 @@ fn a_folder_of_recordings_becomes_meshes_and_a_table() {
         serde_json::from_str(&succeeds(&[&batch[..], &["--roughness", "0.2", "--json"]].concat(), at))
             .unwrap();
     assert_eq!(lines.as_array().unwrap().len(), 3);
+
+    // A recording that fails now leaves nothing of what it gave before.
+    std::fs::write(at.join("in/c.mat"), "no recording").unwrap();
+    let batch = ["batch", "in", "--out", "out", "--backend", "cpu"];
+    let (status, stdout, _) = lumenmesh(&batch, at);
+    assert_eq!(status, 1, "{stdout}");
+    assert_eq!(names(&at.join("out")), ["a.json", "a.vtp", "b.json", "b.vtp", "batch.csv"]);
+    let status = lumenmesh(&[&batch[..], &["--roughness", "0.2"]].concat(), at).0;
+    assert_eq!((status, names(&at.join("out")).len()), (1, 5));
     assert!(lines[0]["error"].is_null() && lines[0]["nodes"].as_u64().unwrap() > 100);
+}
+
+/// The names of columns are no setting, but change what a recording is.
+#[test]
+fn other_names_of_columns_are_other_recordings() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    std::fs::create_dir(at.join("in")).unwrap();
+    succeeds(&["simulate", "--vessel", "cylinder", "--steady", "-o", "in/a"], at);
+    let poses = std::fs::read_to_string(at.join("in/a/poses.csv")).unwrap();
+    let (names_of, lines) = poses.split_once('\n').unwrap();
+    std::fs::write(at.join("in/a/poses.csv"), lines).unwrap();
+    let was_there = |columns: &str| {
+        let batch = ["batch", "in", "--out", "out", "--backend", "cpu", "--pose-columns", columns];
+        succeeds(&batch, at).contains("(was there)")
+    };
+    let others = names_of.replace("x_mm,y_mm", "y_mm,x_mm");
+    assert!(!was_there(names_of) && was_there(names_of));
+    assert!(!was_there(&others) && was_there(&others) && !was_there(names_of));
 }
 
 #[test]

@@ -6,12 +6,14 @@ use glam::{DVec2, DVec3};
 use lumenmesh::cylinders::CylinderReconstruction;
 use lumenmesh::cylinders::engine;
 use lumenmesh::evaluate::{Truth, evaluate};
-use lumenmesh::reconstruction::{Live, Work};
+use lumenmesh::reconstruction::{Change, Live, Reconstructor, Work};
 use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::settings::{Method, Settings, SweepSettings, UnfitFrames};
 use lumenmesh::simulate::{self, Insertion, Move, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn cylinders() -> Settings {
     Settings::default().with_method(Method::Cylinders)
@@ -179,6 +181,145 @@ fn a_catheter_at_rest_costs_no_more_as_time_goes_by() {
         assert!(late <= early + early / 10, "{early} {late}");
         assert!(work.iter().all(|w| w.rings <= 200), "{:?}", work.iter().map(|w| w.rings).max());
     }
+}
+
+#[test]
+fn the_stages_of_a_frame_take_its_time() {
+    let recording = simulated("arch", to_and_fro(), 2).recording;
+    for settings in [cylinders(), sweep()] {
+        let changes = || {
+            let mut live = Live::new(&settings).unwrap();
+            recording.frames.iter().map(|frame| live.push(frame).unwrap()).collect::<Vec<_>>()
+        };
+        let (once, again) = (changes(), changes());
+        assert_eq!(once, again, "equal whatever the times");
+        assert_ne!(once[..100], again[1..101]);
+        assert!(once.iter().zip(&again).any(|(a, b)| a.times != b.times));
+        let mut sums = [0.0; 4];
+        for times in once.iter().map(|change| change.times) {
+            let stages = [times.screening_s, times.axis_s, times.placing_s, times.solving_s];
+            assert!(stages.iter().all(|stage| *stage >= 0.0), "{times:?}");
+            assert!(stages.iter().sum::<f64>() <= times.total_s, "{times:?}");
+            sums.iter_mut().zip(stages).for_each(|(sum, stage)| *sum += stage);
+        }
+        let has_axis = settings.method == Method::Sweep;
+        assert_eq!(sums.map(|sum| sum > 0.0), [true, has_axis, true, true]);
+    }
+}
+
+/// Every method, before the vessel has begun, while frames wait, and in its middle.
+#[test]
+fn a_vessel_that_was_ended_goes_on_where_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, again) = (folder.path().join("live.state"), folder.path().join("again.state"));
+    let mut frames = simulated("arch", to_and_fro(), 2).recording.frames;
+    frames.truncate(700);
+    for frame in &mut frames[350..356] {
+        // Off the path: these wait.
+        frame.world_from_sensor.translation_mm.y += 80.0;
+    }
+    let aging = sweep().with_sweep(SweepSettings::default().with_half_life_s(Some(20.0)));
+    for settings in [cylinders(), sweep(), aging] {
+        let mut whole = Live::new(&settings).unwrap();
+        whole.keep_frames().unwrap();
+        let changes: Vec<Change> = frames.iter().map(|frame| whole.push(frame).unwrap()).collect();
+        assert!(changes[353].waiting > 0);
+        for end in [0, 5, 353, 400] {
+            let mut live = Live::new(&settings).unwrap();
+            live.keep_frames().unwrap();
+            frames[..end].iter().for_each(|frame| drop(live.push(frame).unwrap()));
+            live.snapshot(&path).unwrap();
+            let mut live = Live::restore(&path).unwrap();
+            live.snapshot(&again).unwrap();
+            assert!(std::fs::read(&path).unwrap() == std::fs::read(&again).unwrap(), "the same file");
+            for (frame, change) in frames[end..].iter().zip(&changes[end..]) {
+                assert_eq!(live.push(frame).unwrap(), *change, "from {end} on");
+            }
+            assert!(bytes(&live.surface()) == bytes(&whole.surface()), "from {end} on");
+        }
+        let other = pushed(&frames[..600], &settings);
+        assert!(bytes(&other.surface()) != bytes(&whole.surface()), "the comparison sees differences");
+        let batch = Reconstructor::new(settings).run(&Recording { frames: frames.clone() }).unwrap();
+        assert!(bytes(&whole.finish().unwrap().surface()) == bytes(&batch.surface()));
+    }
+}
+
+#[test]
+fn a_file_that_is_no_whole_snapshot_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("live.state");
+    let frames = simulated("cylinder", Insertion::steady(), 6).recording.frames;
+    pushed(&frames, &sweep()).snapshot(&path).unwrap();
+    let good = std::fs::read(&path).unwrap();
+    let says = |bytes: &[u8], text: &str| {
+        std::fs::write(&path, bytes).unwrap();
+        let message = Live::restore(&path).err().unwrap().to_string();
+        assert!(message.contains("live.state: ") && message.contains(text), "{message}");
+    };
+    says(&[], "content: found another kind of file, expected a snapshot of a live vessel");
+    says(b"frame,x_mm,y_mm", "another kind of file");
+    says(&good[..20], "content: found 20 bytes, expected at least 32");
+    says(&good[..good.len() - 1], "the file is not whole");
+    says(&[&good[..], &[0]].concat(), "the file is not whole");
+    let changed = |at: usize| {
+        let mut bytes = good.clone();
+        bytes[at] ^= 4;
+        bytes
+    };
+    says(&changed(16), "version: found 5, expected 1");
+    says(&changed(good.len() / 2), "content: found bytes that have changed");
+    std::fs::write(&path, &good).unwrap();
+    Live::restore(&path).unwrap();
+    let missing = Live::restore(&folder.path().join("no.state")).err().unwrap().to_string();
+    assert!(missing.contains("no.state: cannot read: "), "{missing}");
+    let nowhere = Live::new(&sweep()).unwrap().snapshot(&folder.path().join("no/live.state"));
+    assert!(nowhere.unwrap_err().to_string().contains("cannot write: "));
+}
+
+/// Every method: the work ends soon after the callback asks for that.
+#[test]
+fn a_reconstruction_ends_where_its_callback_asks_for_that() {
+    let recording = simulated("cylinder", Insertion::steady(), 6).recording;
+    for settings in [cylinders(), sweep()] {
+        let calls = |last: usize| {
+            let calls = AtomicUsize::new(0);
+            let tell = |_| match calls.fetch_add(1, Ordering::Relaxed) + 1 >= last {
+                true => ControlFlow::Break(()),
+                false => ControlFlow::Continue(()),
+            };
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+            let done =
+                pool.install(|| Reconstructor::new(settings.clone()).on_progress(tell).run(&recording));
+            (done.map(drop), calls.into_inner())
+        };
+        let (done, all) = calls(usize::MAX);
+        assert!(done.is_ok() && all > 5, "{all}");
+        // Cylinders that are done at the same time are told of in one call.
+        for last in [1, 3, all / 2] {
+            let (done, calls) = calls(last);
+            assert!(matches!(done, Err(lumenmesh::Error::Cancelled)), "after {last} of {all}");
+            // What another thread has begun is finished.
+            assert!((last..=last + 1).contains(&calls), "{calls} calls, {last} asked for");
+        }
+    }
+}
+
+#[test]
+fn frames_that_were_not_kept_are_told() {
+    let frames = simulated("cylinder", Insertion::steady(), 6).recording.frames;
+    let mut live = Live::new(&sweep()).unwrap();
+    live.push(&frames[0]).unwrap();
+    let refused = live.finish().unwrap_err().to_string();
+    assert!(refused.starts_with("frames of a live vessel: found 1 that were not kept"), "{refused}");
+    assert!(live.keep_frames().is_err());
+    live.reset();
+    live.keep_frames().unwrap();
+    frames.iter().for_each(|frame| drop(live.push(frame).unwrap()));
+    live.keep_frames().unwrap();
+    assert!(!live.finish().unwrap().surface().triangles.is_empty());
+    live.reset();
+    live.push(&frames[0]).unwrap();
+    assert!(!live.finish().unwrap_err().to_string().contains("not kept"), "they are kept after a reset too");
 }
 
 #[test]

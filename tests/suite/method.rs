@@ -21,6 +21,7 @@ use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
+use std::ops::ControlFlow;
 
 fn read(name: &str) -> Option<Recording> {
     Some(Recording::read(&crate::support::shared(&format!("recordings/{name}.mat"))?).unwrap())
@@ -257,7 +258,11 @@ fn the_number_of_threads_changes_no_byte() {
         let bytes = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             let done = pool
-                .install(|| CylinderReconstruction::run(&recording, &settings, engine, true, &|_, _| ()))
+                .install(|| {
+                    CylinderReconstruction::run(&recording, &settings, engine, true, &|_, _| {
+                        ControlFlow::Continue(())
+                    })
+                })
                 .unwrap();
             let (mesh, cylinders) = (folder.path().join("mesh.vtp"), folder.path().join("cylinders.csv"));
             done.vessel.surface().write(&mesh).unwrap();

@@ -27,6 +27,35 @@ fn mode(path: &Path) -> u32 {
     std::fs::metadata(path).unwrap().permissions().mode() & 0o777
 }
 
+/// The man pages and the completions are made of the same description as `--help`.
+#[test]
+fn the_manual_and_the_completions_know_all_commands() {
+    let folder = tempfile::tempdir().unwrap();
+    let (status, help, _) = lumenmesh(&["--help"], folder.path());
+    assert_eq!(status, 0);
+    let commands: Vec<&str> = help
+        .lines()
+        .skip_while(|line| !line.starts_with("Commands:"))
+        .skip(1)
+        .take_while(|line| !line.is_empty())
+        .filter_map(|line| line.strip_prefix("  ").filter(|line| !line.starts_with(' ')))
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|name| *name != "help")
+        .collect();
+    assert!(commands.contains(&"reconstruct") && commands.len() > 15, "{commands:?}");
+    assert_eq!(lumenmesh(&["manual", "--out", "man"], folder.path()).0, 0);
+    for shell in ["bash", "zsh", "fish"] {
+        let (status, text, _) = lumenmesh(&["completions", shell], folder.path());
+        assert_eq!(status, 0);
+        for name in &commands {
+            assert!(text.contains(name), "{shell}: {name}");
+            let page = folder.path().join(format!("man/lumenmesh-{name}.1"));
+            assert!(std::fs::read_to_string(&page).unwrap().contains(".SH SYNOPSIS"), "{}", page.display());
+        }
+    }
+    assert_eq!(lumenmesh(&["completions", "cmd"], folder.path()).0, 2);
+}
+
 #[test]
 fn new_files_and_folders_have_the_permissions_that_the_user_wants() {
     let folder = folder();

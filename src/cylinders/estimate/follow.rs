@@ -7,6 +7,7 @@ use crate::numerics::robust::{median, robust_sd};
 use crate::recording::echo_error::{ANGLE_JUMP_VARIANCE, angle_jumps_mm};
 use crate::recording::{CylinderModel, Frame, MAX_RADIUS_MM};
 use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
 
 /// Wall points of a frame that are used.
 const MAX_POINTS: usize = 32;
@@ -15,7 +16,7 @@ const MAX_POINTS: usize = 32;
 const MAX_OUTLIERS: usize = 6;
 
 /// The wall as one frame shows it, in the world.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct FrameWall {
     pub points_mm: Vec<DVec3>,
     /// Centroid of the contour.
@@ -118,7 +119,7 @@ pub(super) trait TubeFit {
 ///
 /// An outlier frame, whose wall does not lie on the current tube (a tracker's glitch, the mouth of a branch), is compared
 /// with other outliers only. After [`MAX_OUTLIERS`] of them in a row, their tube becomes the current one.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Follower<F> {
     sensor_from_probe: Pose,
     known: Option<F>,
@@ -129,6 +130,11 @@ pub(super) struct Follower<F> {
 impl<F: TubeFit> Follower<F> {
     pub fn new(sensor_from_probe: Pose) -> Self {
         Self { sensor_from_probe, known: None, outlier: None }
+    }
+
+    /// The fits that it compares with.
+    pub fn fits(&self) -> impl Iterator<Item = &F> {
+        self.known.iter().chain(self.outlier.iter().map(|(fit, _)| fit))
     }
 
     /// The current fit.

@@ -3,6 +3,7 @@
 use crate::geometry::Pose;
 use crate::recording::echo_error::{OUT_OF_PLANE, likeliest_direction};
 use glam::{DMat3, DQuat, DVec2, DVec3};
+use serde::{Deserialize, Serialize};
 
 /// Number of parameters of a [`LocalTube`], in the order of [`Change`].
 pub(super) const PARAMETERS: usize = 12;
@@ -12,7 +13,7 @@ pub(super) type Change = [f64; PARAMETERS];
 
 /// A short tube that bends, tapers and is not quite round. In its own coordinates, the axis is the parabola (b z²/2, z) and
 /// the radius is R + t z + o·(cos 2φ, sin 2φ) + l·(cos 3φ, sin 3φ).
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(super) struct LocalTube {
     /// Origin on the tube's axis, z along it.
     pub world_from_axis: Pose,

@@ -8,6 +8,7 @@ use crate::numerics::cholesky::{Matrix, cholesky, dot, forward, solve};
 use crate::numerics::robust::{robust_sd, tukey_weight};
 use crate::recording::{CylinderModel, Frame};
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// A cylinder from a robust fit to the wall points of nearby frames; see `docs/method.md`, "Local cylinder estimate".
@@ -18,7 +19,7 @@ use std::collections::VecDeque;
 ///
 /// One frame takes bounded time: at most [`MAX_FRAMES`](Self::MAX_FRAMES) frames are kept, those whose image
 /// planes lie farthest from each other.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct WindowFit(Follower<Window>);
 
 impl WindowFit {
@@ -32,6 +33,14 @@ impl WindowFit {
     /// An estimate without any frames. `sensor_from_probe` is the calibration `eTi` (thesis, Eq. 11).
     pub fn new(sensor_from_probe: Pose) -> Self {
         Self(Follower::new(sensor_from_probe))
+    }
+
+    /// Whether it can go on after it was read from a file.
+    pub(in crate::cylinders) fn is_sound(&self) -> bool {
+        self.0.fits().all(|window| {
+            let of_walls = window.walls.iter().all(|wall| wall.points_mm.len() >= 3 && wall.radius_mm > 0.0);
+            of_walls && window.walls.len() <= Self::MAX_FRAMES && window.tube.is_sound()
+        })
     }
 }
 
@@ -79,7 +88,7 @@ const FIRST_FRAMES: usize = 10;
 const FIRST_STEPS: usize = 5;
 
 /// The frames of the window and the tube through them.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct Window {
     /// In the order of arrival.
     walls: VecDeque<FrameWall>,

@@ -1,3 +1,4 @@
+use super::FitProgress;
 use super::sealed::Sealed;
 use super::{CpuEngine, Engine, Fit, FitRequest, SectionFit};
 use crate::Result;
@@ -6,6 +7,7 @@ use crate::cylinders::passes::Section;
 use crate::engine;
 use crate::engine::WORTH_A_DEVICE_S;
 use crate::settings::Settings;
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 #[cfg(feature = "gpu")]
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -163,22 +165,23 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// Progress of work that one engine may begin and another repeat: each cylinder is reported once.
 struct Tally<'a> {
     reported: AtomicUsize,
-    report: &'a (dyn Fn(usize) + Sync),
+    report: &'a FitProgress<'a>,
 }
 
 impl<'a> Tally<'a> {
-    fn new(report: &'a (dyn Fn(usize) + Sync)) -> Self {
+    fn new(report: &'a FitProgress<'a>) -> Self {
         Self { reported: AtomicUsize::new(0), report }
     }
 
     /// The progress of an engine that begins.
-    fn attempt(&self) -> impl Fn(usize) + Sync + '_ {
+    fn attempt(&self) -> impl Fn(usize) -> ControlFlow<()> + Sync + '_ {
         let ready = AtomicUsize::new(0);
         move |newly| {
             let ready = ready.fetch_add(newly, Ordering::Relaxed) + newly;
             let reported = self.reported.fetch_max(ready, Ordering::Relaxed);
-            if ready > reported {
-                (self.report)(ready - reported);
+            match ready.checked_sub(reported) {
+                Some(newly) if newly > 0 => (self.report)(newly),
+                _ => ControlFlow::Continue(()),
             }
         }
     }
@@ -273,16 +276,17 @@ mod tests {
         let tell = |newly| {
             assert!(newly > 0, "told of nothing");
             told.fetch_add(newly, Ordering::Relaxed);
+            if newly == 13 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
         let tally = Tally::new(&tell);
         let on_device = tally.attempt();
-        on_device(30);
-        on_device(20);
+        assert!(on_device(30).is_continue() && on_device(20).is_continue());
         assert_eq!(told.load(Ordering::Relaxed), 50);
         let on_cpu = tally.attempt();
-        (0..50).for_each(|_| on_cpu(1));
+        assert!((0..50).all(|_| on_cpu(1).is_continue()));
         assert_eq!(told.load(Ordering::Relaxed), 50);
-        (50..80).for_each(|_| on_cpu(1));
+        assert!((50..80).all(|_| on_cpu(1).is_continue()));
         assert_eq!(told.load(Ordering::Relaxed), 80);
+        assert!(on_cpu(13).is_break());
     }
 }

@@ -5,17 +5,19 @@ use super::sealed::Sealed;
 use super::{
     DeformedTube, Engine, EngineDescription, Fit, FitRequest, FittedCylinder, SectionFit, check_section,
 };
-use crate::Result;
 use crate::cylinders::passes::{
     Face, Filter, Section, TriangleStatistic, TubeGrid, distance, fill, measure_long, measure_short, support,
     update,
 };
 use crate::cylinders::tube::Tube;
+use crate::error::unless_cancelled;
 use crate::numerics::Scalar;
 use crate::settings::Settings;
+use crate::{Error, Result};
 use rayon::prelude::*;
 use std::marker::PhantomData;
 use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Fits cylinders on the CPU, on all threads of the current rayon pool.
 ///
@@ -48,12 +50,18 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             let tube = deform::<_, T>(&section, cylinder.radius_mm, request.settings, request.history);
             Ok(FittedCylinder { frame, world_from_cylinder: cylinder.world_from_cylinder, tube })
         };
+        let cancelled = AtomicBool::new(false);
         let fitted: Vec<Result<FittedCylinder>> = request
             .frames
             .par_iter()
             .map(|frame| {
+                if cancelled.load(Ordering::Relaxed) {
+                    return Err(Error::Cancelled);
+                }
                 let fitted = fit(frame);
-                (request.progress)(1);
+                let asked = (request.progress)(1);
+                cancelled.fetch_or(asked.is_break(), Ordering::Relaxed);
+                unless_cancelled(asked)?;
                 fitted
             })
             .collect();

@@ -26,6 +26,10 @@ use crate::settings::{Backend, Settings};
 use crate::{Error, Result};
 use glam::DVec3;
 use rayon::prelude::*;
+use std::ops::ControlFlow;
+
+/// What is called with the number of cylinders finished since the last call, and says whether to go on.
+pub type FitProgress<'a> = dyn Fn(usize) -> ControlFlow<()> + Sync + 'a;
 
 /// The cylinders that an engine fits, and how.
 #[derive(Clone, Copy)]
@@ -39,14 +43,14 @@ pub struct FitRequest<'a> {
     pub settings: &'a Settings,
     /// Whether to keep the radii after every iteration, not only after the last.
     pub history: bool,
-    /// Called with the number of cylinders finished since the last call.
-    pub progress: &'a (dyn Fn(usize) + Sync),
+    /// Called with the number of cylinders finished since the last call; the fit ends soon after a call that breaks.
+    pub progress: &'a FitProgress<'a>,
 }
 
 impl<'a> FitRequest<'a> {
     /// A request without history that reports no progress.
     pub fn new(track: &'a Track, frames: &'a [usize], settings: &'a Settings) -> Self {
-        Self { track, frames, settings, history: false, progress: &|_| () }
+        Self { track, frames, settings, history: false, progress: &|_| ControlFlow::Continue(()) }
     }
 
     /// Keeps the radii after every iteration, or only after the last.
@@ -56,9 +60,10 @@ impl<'a> FitRequest<'a> {
         self
     }
 
-    /// Calls `progress` with the number of cylinders finished since the last call.
+    /// Calls `progress` with the number of cylinders finished since the last call, from any thread. Where a call breaks, the
+    /// fit ends soon with [`Error::Cancelled`](crate::Error::Cancelled).
     #[must_use]
-    pub fn with_progress(mut self, progress: &'a (dyn Fn(usize) + Sync)) -> Self {
+    pub fn with_progress(mut self, progress: &'a FitProgress<'a>) -> Self {
         self.progress = progress;
         self
     }

@@ -10,10 +10,11 @@ use crate::settings::Merge;
 use crate::surface::Surface;
 use crate::surface::face_triangles;
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// A ring of a vessel.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct VesselRing {
     /// The frame whose cylinder it came from; the last one where several were blended.
@@ -27,7 +28,7 @@ pub struct VesselRing {
 }
 
 /// One vessel, as a stack of rings with the same number of nodes each.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct MergedVessel {
     /// The rings, in the order of the vessel.
@@ -37,6 +38,12 @@ pub struct MergedVessel {
 }
 
 impl MergedVessel {
+    /// Whether all rings have so many nodes, each with its values.
+    pub(in crate::cylinders) fn has_rings_of(&self, nodes: usize) -> bool {
+        let of_nodes = |ring: &VesselRing| [ring.nodes_mm.len(), ring.support.len(), ring.residual_mm.len()];
+        self.rings.iter().all(|ring| of_nodes(ring) == [nodes; 3])
+    }
+
     /// Merges cylinders in the order in which they were recorded.
     pub fn of<'a>(cylinders: impl IntoIterator<Item = &'a FittedCylinder>, merge: Merge) -> Self {
         match merge {

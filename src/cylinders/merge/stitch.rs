@@ -1,9 +1,10 @@
 use super::{MergedVessel, VesselRing};
 use crate::cylinders::fit::FittedCylinder;
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
 /// Which way the cylinders follow each other along their own axes.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Travel {
     /// Centre of the last cylinder, mm.
     last_mm: Option<DVec3>,

@@ -6,6 +6,7 @@ use super::{LeftOut, NoEcho, Reason, Screening, probe, repeats};
 use crate::numerics::robust::median;
 use crate::recording::Frame;
 use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// Steps and radii that tell what is usual, the newest ones.
@@ -22,7 +23,7 @@ const MIN_ACCEPTED: usize = 5;
 /// A frame that jumps off the path waits. Where the path goes on as before, it was off; where its own run of frames becomes
 /// as long as [`Screening`] asks of a path, the sensor was moved, and the run is used. Where that run is longer than all
 /// that was used before, the recording began with a lost sensor: what was used is left out.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct LiveScreening {
     /// Frames that have come.
     frames: usize,
@@ -49,7 +50,7 @@ pub(crate) struct LiveScreening {
 }
 
 /// Frames that wait, without a jump in between.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct Run {
     frames: Vec<(usize, Frame)>,
     last: Place,
@@ -68,6 +69,20 @@ pub(crate) struct Judged {
 }
 
 impl LiveScreening {
+    /// Whether it can go on after it was read from a file.
+    pub fn is_sound(&self) -> bool {
+        let came = |number: &usize| *number < self.frames;
+        let of_runs = self.runs.iter().flat_map(|run| run.frames.iter().map(|(number, _)| number));
+        let known =
+            self.last.iter().map(|(number, _)| number).chain(self.before.iter().map(|(number, _)| number));
+        let ready = self.ready.iter().map(|(number, _)| number);
+        known.chain(of_runs).chain(ready).chain(&self.head).all(came)
+            && self.waiting() <= MAX_WAITING
+            && self.accepted <= self.frames
+            && self.same_pose <= self.frames
+            && self.outside <= self.frames
+    }
+
     /// Frames that wait for a decision.
     pub fn waiting(&self) -> usize {
         self.runs.iter().map(|run| run.frames.len()).sum()

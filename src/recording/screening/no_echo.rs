@@ -2,12 +2,12 @@
 
 use crate::recording::{Frame, Recording};
 use glam::DVec2;
-use serde::Serialize;
-use std::collections::HashMap;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::fmt;
 
 /// Points of contours that stand for a missing echo and are taken for one.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct NoEcho {
     /// The value, mm; `None`: numbers that are infinite.
@@ -37,12 +37,12 @@ const MIN_FRAMES: usize = 3;
 ///
 /// Two echoes never agree in all digits, but a value that a program fills in does. Points that were repeated when a contour
 /// was resampled agree within a frame, but not with those of other frames.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(super) struct Counts {
     infinite: usize,
     at_probe: usize,
     /// Frames in which a pair of numbers occurs often, and its points there.
-    repeated: HashMap<[u64; 2], (usize, usize)>,
+    repeated: BTreeMap<[u64; 2], (usize, usize)>,
 }
 
 /// Pairs that are remembered; beyond, those of one frame are forgotten.

@@ -5,6 +5,7 @@ use crate::geometry::Pose;
 use crate::numerics::robust::median;
 use crate::recording::Frame;
 use glam::{DMat3, DVec3};
+use serde::{Deserialize, Serialize};
 
 /// Steps that are longer than these are jumps.
 ///
@@ -52,7 +53,7 @@ const MIN_FRAMES: usize = 5;
 const MAX_RUNS_BACK: usize = 512;
 
 /// What a frame is compared by.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Place {
     pose: Pose,
     /// Median distance of the echoes from the contour's centroid, mm.

@@ -20,6 +20,7 @@ use crate::settings::{Backend, Method, Settings};
 use crate::simulate::{self, Insertion, Noise, Probe, SimulatedVessel, Simulation};
 use crate::surface::Surface;
 use serde::Serialize;
+use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// What the numbers of [`Experiments`] mean, beside [`crate::evaluate::DEFINITIONS`].
@@ -185,7 +186,10 @@ pub fn run(
     let engine = engine(&plan.settings)?;
     let measure = |stage, recording: &Recording, coverage: &Coverage| -> Result<(Series, Surface, f64)> {
         let start = Instant::now();
-        let progress = |done, all| tell(stage, done, all);
+        let progress = |done, all| {
+            tell(stage, done, all);
+            ControlFlow::Continue(())
+        };
         let (series, mesh) =
             Series::measure(recording, (&truth, coverage), &plan.settings, &*engine, &progress)?;
         Ok((series, mesh, start.elapsed().as_secs_f64()))

@@ -10,6 +10,7 @@ use crate::settings::Settings;
 use crate::surface::Surface;
 use glam::DVec3;
 use serde::Serialize;
+use std::ops::ControlFlow;
 
 /// The fitting errors of one recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -112,7 +113,7 @@ impl Series {
         (truth, coverage): (&Truth, &Coverage),
         settings: &Settings,
         engine: &dyn Engine,
-        progress: &(dyn Fn(usize, usize) + Sync),
+        progress: &(dyn Fn(usize, usize) -> ControlFlow<()> + Sync),
     ) -> Result<(Self, Surface)> {
         let reconstruction = CylinderReconstruction::run(recording, settings, engine, true, progress)?;
         let cylinders = &reconstruction.cylinders;

@@ -9,6 +9,7 @@ use crate::sweep::support::Tally;
 use crate::sweep::wall::equations::Equations;
 use crate::sweep::wall::residual::{ResidualModel, gate, is_inlier, measure_on_tube};
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use std::ops::Range;
 
@@ -16,7 +17,7 @@ use std::ops::Range;
 const MAX_PER_CELL: usize = 40;
 
 /// An echo, or several that were merged into one.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Sample {
     pub echo: Echo,
     pub point_mm: DVec3,
@@ -51,6 +52,21 @@ impl Sample {
         }
     }
 
+    /// The cell of its band that it lies in.
+    fn cell(&self, nodes: usize) -> usize {
+        (self.echo.node as usize).min(nodes - 1)
+    }
+
+    /// Finds its coordinates about an axis that moved, and its band; the search starts at ring `near`. `None` where it
+    /// lies beyond the axis's ends.
+    fn place_again(&mut self, axis: &Axis, near: usize, nodes: usize) -> Option<usize> {
+        let place = axis.place(self.point_mm, near)?;
+        let before = self.echo;
+        self.echo = Echo::new(&place, self.image_normal, before.frame, nodes);
+        self.echo.keep_projection_of(&before);
+        Some(place.ring as usize)
+    }
+
     fn equation(&mut self, model: ResidualModel, warm_up: bool) -> BandEquation {
         let ResidualModel { grid, noise_mm, .. } = model;
         if warm_up {
@@ -83,7 +99,7 @@ impl Sample {
 }
 
 /// The echoes between two rings.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct EchoBand {
     cells: Vec<Vec<Sample>>,
     /// Number of echoes that arrived, merged or not.
@@ -117,6 +133,27 @@ impl EchoBand {
         }
     }
 
+    /// Whether it can go on after it was read from a file, as a band of this grid.
+    pub fn is_sound(&self, grid: &WallGrid) -> bool {
+        let covers = |rings: &Range<usize>| {
+            rings.start <= rings.end
+                && rings.end <= grid.rings
+                && self.equations.covers(rings, grid)
+                && self.tally.covers(rings.len() * grid.nodes)
+        };
+        self.cells.len() == grid.nodes
+            && self.kept == self.cells.iter().map(Vec::len).sum::<usize>()
+            && self.cells.iter().all(|cell| cell.len() <= MAX_PER_CELL)
+            && self.count < usize::MAX / 2
+            && (covers(&self.rings) || self.rings.start == self.rings.end && self.rings.end <= grid.rings)
+    }
+
+    /// The bins of its samples in the running median of all.
+    pub fn bins(&self) -> impl Iterator<Item = u16> + '_ {
+        let counted = |sample: &&Sample| !sample.is_merged;
+        self.cells.iter().flatten().filter(counted).filter_map(|sample| sample.bin)
+    }
+
     /// Whether there are too few echoes yet to determine a wall.
     fn is_warming_up(&self) -> bool {
         self.count < self.cells.len()
@@ -133,12 +170,55 @@ impl EchoBand {
         self.cells.iter_mut().flatten()
     }
 
-    /// Removes all echoes of the band, which begins at `ring`.
-    pub fn drain(&mut self, grid: &WallGrid, ring: usize) -> Vec<Sample> {
-        let samples = self.cells.iter_mut().flat_map(std::mem::take).collect();
-        let (latest_s, is_projected) = (self.latest_s, self.is_projected);
-        *self = Self { latest_s, is_projected, ..Self::new(grid, ring) };
-        samples
+    /// Places the samples of this band, which begins at `ring`, about an axis that moved. Those of other cells now leave,
+    /// with the numbers of their bands; those beyond the axis's ends are dropped. The sums stay as they are.
+    pub fn place_again(&mut self, axis: &Axis, ring: usize) -> Vec<(usize, Sample)> {
+        let nodes = self.cells.len();
+        let mut leaving = Vec::new();
+        for (node, cell) in self.cells.iter_mut().enumerate() {
+            let mut bands = Vec::new();
+            let gone = cell.extract_if(.., |sample| {
+                let band = sample.place_again(axis, ring, nodes);
+                let stays = band == Some(ring) && sample.cell(nodes) == node;
+                if !stays {
+                    bands.push(band);
+                }
+                !stays
+            });
+            let gone: Vec<Sample> = gone.collect();
+            self.kept -= gone.len();
+            self.count = self.count.saturating_sub(gone.len());
+            leaving.extend(bands.into_iter().zip(gone).filter_map(|(band, sample)| Some((band?, sample))));
+        }
+        leaving
+    }
+
+    /// Keeps a sample that left another cell. The sums that have it travelled by `travel_mm`.
+    pub fn take_in(&mut self, mut sample: Sample, model: ResidualModel, axis: &Axis, travel_mm: f64) {
+        self.travel_mm = self.travel_mm.max(travel_mm);
+        let warm_up = self.counts_up();
+        let equation = sample.equation(model, warm_up);
+        self.keep(sample, &equation, model, axis);
+    }
+
+    /// Changes the sums where the rings `moved` have moved, and the radii at all nodes by `shift_mm` with them.
+    pub fn move_sums(&mut self, moved: &Range<usize>, shift_mm: &[f64], grid: &WallGrid) {
+        if !self.rings.is_empty() && self.rings.start < moved.end && moved.start < self.rings.end {
+            let nodes = self.rings.start * grid.nodes..self.rings.end * grid.nodes;
+            self.equations.shift(&shift_mm[nodes], grid.nodes);
+        }
+    }
+
+    /// Counts an echo that arrives; whether there are still too few to determine a wall.
+    fn counts_up(&mut self) -> bool {
+        let was_warming_up = self.is_warming_up();
+        self.count += 1;
+        let warm_up = self.is_warming_up();
+        if was_warming_up && !warm_up {
+            // From now on there is a wall to evaluate all residuals on.
+            self.travel_mm = f64::INFINITY;
+        }
+        warm_up
     }
 
     /// Ages the samples: their weights decrease by `factor`.
@@ -151,7 +231,7 @@ impl EchoBand {
         self.tally.scale(factor);
     }
 
-    /// Adds a sample of this band; in a full cell it is merged with the sample of the most similar direction of view.
+    /// Adds a new sample of this band; in a full cell it is merged with the sample of the most similar direction of view.
     ///
     /// Returns the ring of its projection, and whether it lies on the wall.
     pub fn insert(
@@ -160,16 +240,9 @@ impl EchoBand {
         model: ResidualModel,
         axis: &Axis,
         residuals: &mut RunningMedian,
-        new: bool,
     ) -> (f64, bool) {
-        let was_warming_up = self.is_warming_up();
-        self.count += 1;
-        let warm_up = self.is_warming_up();
-        if was_warming_up && !warm_up {
-            // From now on there is a wall to evaluate all residuals on.
-            self.travel_mm = f64::INFINITY;
-        }
-        if new && !warm_up {
+        let warm_up = self.counts_up();
+        if !warm_up {
             sample.project(model);
         }
         let equation = sample.equation(model, warm_up);
@@ -213,7 +286,7 @@ impl EchoBand {
 
     /// Keeps a sample, or merges it with another of its cell.
     fn keep(&mut self, sample: Sample, equation: &BandEquation, model: ResidualModel, axis: &Axis) {
-        let node = (sample.echo.node as usize).min(self.cells.len() - 1);
+        let node = sample.cell(self.cells.len());
         let cell = &mut self.cells[node];
         if cell.len() < MAX_PER_CELL {
             cell.push(sample);
@@ -243,8 +316,8 @@ impl EchoBand {
         }
     }
 
-    /// Evaluates all residuals again and computes the sums.
-    pub fn measure(&mut self, model: ResidualModel, residuals: &mut RunningMedian, warm_up: bool) {
+    /// Evaluates all residuals again and computes the sums. [`count_residuals`](Self::count_residuals) has to follow.
+    pub fn measure(&mut self, model: ResidualModel, warm_up: bool) {
         let warm_up = warm_up || self.is_warming_up();
         let mut cells = std::mem::take(&mut self.cells);
         let project = !warm_up && !std::mem::replace(&mut self.is_projected, !warm_up);
@@ -255,13 +328,17 @@ impl EchoBand {
                 sample.project(model);
             }
             let equation = sample.equation(model, warm_up);
-            if !warm_up {
-                sample.count(residuals);
-            }
             self.add(sample, &equation, model.grid);
         }
         self.cells = cells;
         self.travel_mm = 0.0;
+    }
+
+    /// Replaces the residuals in the running median of all, unless there is no wall yet.
+    pub fn count_residuals(&mut self, residuals: &mut RunningMedian, warm_up: bool) {
+        if !(warm_up || self.is_warming_up()) {
+            self.samples().for_each(|sample| sample.count(residuals));
+        }
     }
 }
 

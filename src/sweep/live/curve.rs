@@ -4,6 +4,7 @@ use crate::geometry::polyline::{nearest, resampled};
 use crate::numerics::banded::Pentadiagonal;
 use crate::sweep::prepare::centreline::{NODES_PER_RADIUS, SMOOTHNESS, centreline};
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// The curve extends straight beyond the centres by this many nodes: echoes of tilted frames lie there.
@@ -29,7 +30,7 @@ const FIXED_STIFFNESS: f64 = 1e6;
 
 /// A smooth curve through the centres of contours, with a node every R/4, that grows at both ends; nodes behind them are
 /// fixed.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Curve {
     radius_mm: f64,
     pub nodes_mm: Vec<DVec3>,
@@ -64,6 +65,18 @@ impl Curve {
         curve.nodes_mm = curve.fitted(0..curve.nodes_mm.len());
         curve.settle();
         curve
+    }
+
+    /// Whether it can go on after it was read from a file.
+    pub fn is_sound(&self) -> bool {
+        let all = self.nodes_mm.len();
+        let within = |settled: &Range<usize>| settled.start + 2 <= settled.end && settled.end + BEYOND <= all;
+        0.0 < self.radius_mm
+            && self.radius_mm.is_finite()
+            && all > 2 * BEYOND + 2
+            && self.settled.as_ref().is_none_or(within)
+            && self.outliers_mm.len() < MAX_OUTLIERS
+            && self.nodes_mm.iter().all(|node| node.is_finite())
     }
 
     /// Adds a centre to its cluster.

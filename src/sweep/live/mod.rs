@@ -15,7 +15,6 @@ use super::prepare::contour::{MAX_FOLDED, Outline};
 use super::prepare::noise::{TANGENTIAL_PER_JUMP, outward_bias_mm};
 use super::prepare::resolution::resolution;
 use super::surface::surface;
-use crate::geometry::Pose;
 use crate::geometry::polyline::lengths;
 use crate::recording::echo_error::angle_jumps_mm;
 use crate::recording::{FRAME_INTERVAL_S, Frame};
@@ -25,8 +24,10 @@ use crate::{Error, Result};
 use curve::Curve;
 use glam::{DVec2, DVec3};
 use running_median::RunningMedian;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use std::ops::Range;
+use std::time::Instant;
 use vessel::{GrowingVessel, PlacedFrame, Step};
 
 /// Largest number of frames that wait until the contours cover a lumen's radius of the vessel; beyond it every second one
@@ -34,10 +35,12 @@ use vessel::{GrowingVessel, PlacedFrame, Step};
 const MAX_WAITING: usize = 128;
 /// The vessel begins when the contours' centres lie this many lumen radii apart.
 const START_RADII: f64 = 1.5;
+
 /// A vessel swept along its centreline while the recording goes on.
+#[derive(Serialize, Deserialize)]
 pub(crate) struct LiveSweep {
+    #[serde(skip)]
     settings: Settings,
-    sensor_from_probe: Pose,
     frames: usize,
     clock_s: f64,
     waiting: Vec<PlacedFrame>,
@@ -51,7 +54,6 @@ impl LiveSweep {
     pub fn new(settings: &Settings) -> Self {
         Self {
             settings: settings.clone(),
-            sensor_from_probe: settings.calibration.sensor_from_probe(),
             frames: 0,
             clock_s: 0.0,
             waiting: Vec::new(),
@@ -61,11 +63,28 @@ impl LiveSweep {
         }
     }
 
+    /// Forgets all frames.
+    pub fn reset(&mut self) {
+        *self = Self::new(&self.settings);
+    }
+
+    /// Goes on with a state that was read from a file; what follows it there. `None` where it is not sound, or of other
+    /// settings: then nothing changes.
+    pub fn go_on<'a>(&mut self, bytes: &'a [u8]) -> Option<&'a [u8]> {
+        let (state, rest) = postcard::take_from_bytes::<Self>(bytes).ok()?;
+        let sound = state.waiting.len() <= MAX_WAITING
+            && state.contours.holds(std::iter::empty())
+            && state.jumps.holds(std::iter::empty())
+            && state.vessel.as_ref().is_none_or(|vessel| vessel.is_sound(&self.settings));
+        sound.then(|| *self = Self { settings: std::mem::take(&mut self.settings), ..state })?;
+        Some(rest)
+    }
+
     /// Adds a frame that passes [`Frame::check`]; its number is higher than those before.
     pub fn push(&mut self, number: usize, frame: &Frame) -> Result<Step> {
         let after = self.clock_s + if self.frames == 0 { 0.0 } else { FRAME_INTERVAL_S };
         self.clock_s = frame.time_s.unwrap_or(after);
-        let world_from_probe = frame.world_from_sensor * self.sensor_from_probe;
+        let world_from_probe = frame.world_from_sensor * self.settings.calibration.sensor_from_probe();
         let mut placed = PlacedFrame {
             number: number as u32,
             time_s: self.clock_s,
@@ -111,6 +130,7 @@ impl LiveSweep {
         if radius_mm <= 0.0 || centres.is_empty() || low.distance(high) < START_RADII * radius_mm {
             return Ok(Step::default());
         }
+        let start = Instant::now();
         let Some(curve) = centreline(&centres, radius_mm)? else { return Ok(Step::default()) };
         let length_mm = lengths(&curve).last().copied().unwrap_or(0.0);
         let contours_mm: Vec<&[DVec2]> =
@@ -124,7 +144,8 @@ impl LiveSweep {
         };
         let curve = Curve::along(&curve, &centres, radius_mm);
         let mut vessel = GrowingVessel::along(curve, nodes, step_mm, radius_mm, &self.settings);
-        let step = vessel.start(&self.waiting)?;
+        let axis_s = start.elapsed().as_secs_f64();
+        let step = Step { axis_s, ..vessel.start(&self.waiting)? };
         self.waiting = Vec::new();
         self.vessel = Some(vessel);
         Ok(step)

@@ -1,5 +1,7 @@
 //! A running median of values that are added and removed.
 
+use serde::{Deserialize, Serialize};
+
 /// The smallest value that differs from 0.
 const MIN: f64 = 1e-9;
 /// Bins per factor of e: each is 1 % wide.
@@ -9,7 +11,7 @@ const BINS: usize = 4300;
 
 /// A running median of positive numbers, to 1 %. It counts values in logarithmic bins, so that values can be removed again
 /// and neither time nor memory grows with their number.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct RunningMedian {
     counts: Vec<u64>,
     total: u64,
@@ -32,6 +34,17 @@ impl RunningMedian {
     pub fn remove(&mut self, bin: u16) {
         self.counts[usize::from(bin)] -= 1;
         self.total -= 1;
+    }
+
+    /// Whether these values can be removed, by their bins, as often as they come.
+    pub fn holds(&self, bins: impl Iterator<Item = u16>) -> bool {
+        let mut left = self.counts.clone();
+        let is_there = |bin: u16| {
+            let count = left.get_mut(usize::from(bin)).filter(|count| **count > 0);
+            count.map(|count| *count -= 1).is_some()
+        };
+        let sum = self.counts.iter().try_fold(0_u64, |sum, count| sum.checked_add(*count));
+        self.counts.len() == BINS && sum == Some(self.total) && { bins }.all(is_there)
     }
 
     /// The upper median; 0 of nothing.
@@ -57,6 +70,10 @@ mod tests {
         assert!((median.value() / 501.0 - 1.0).abs() < 0.01, "{}", median.value());
         bins[..800].iter().for_each(|&bin| median.remove(bin));
         assert!((median.value() / 901.0 - 1.0).abs() < 0.01, "{}", median.value());
+        let left = || bins[800..].iter().copied();
+        assert!(
+            median.holds(left()) && !median.holds(left().chain(left())) && !median.holds([4300].into_iter())
+        );
         for odd in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e300] {
             let bin = median.add(odd);
             median.remove(bin);

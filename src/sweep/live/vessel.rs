@@ -20,9 +20,12 @@ use crate::sweep::wall::operator::Operator;
 use crate::sweep::wall::residual::ResidualModel;
 use crate::sweep::wall::solver::{System, solve};
 use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::ops::Range;
+use std::time::Instant;
 
 /// Largest number of echoes beyond the ends that wait until the axis reaches them.
 const MAX_PENDING: usize = 2048;
@@ -31,8 +34,9 @@ const MAX_WINDOW: usize = 48;
 /// Rings of the background window, and the rings that it advances per frame.
 const BACKGROUND_WINDOW: usize = 24;
 const BACKGROUND_STEP: usize = 16;
-/// Largest number of samples whose residuals are evaluated again per window.
+/// Largest number of samples whose residuals are evaluated again per window, and when the axis has moved.
 const MAX_MEASURED: usize = 4000;
+const MAX_MEASURED_AFTER_MOVE: usize = 20_000;
 /// Residuals stay valid while no node about has moved by more than this share of the noise.
 const ENOUGH_NOISE_SHARE: f64 = 0.002;
 /// Steps of the solver for a window, and the share of the residual that may remain.
@@ -42,12 +46,17 @@ const SOLVED_SHARE: f64 = 0.02;
 const MAX_PROJECTION: usize = 16;
 /// Rings beside a window that affect the support in it.
 const SUPPORT_MARGIN: usize = 8;
+/// What a vessel that is read from a file may have: rings, nodes per ring, and the smallest distance of two rings in
+/// distances of the curve's nodes.
+const MAX_RINGS: usize = 1 << 24;
+const MAX_NODES: usize = 1 << 14;
+const MIN_STEP_SPACINGS: f64 = 1e-3;
 /// Rounds over the first frames, and those of them that are a warm-up.
 const FIRST_ROUNDS: usize = 5;
 const WARM_UP_ROUNDS: usize = 2;
 
 /// The change of the vessel by a frame.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Step {
     /// Rings that were added in front.
     pub before: usize,
@@ -59,10 +68,14 @@ pub(crate) struct Step {
     pub rings: usize,
     /// Whether its centre is too far from the axis for its echoes to be placed.
     pub off_axis: bool,
+    /// Times of moving the axis, of placing the frame's echoes, and of solving, s.
+    pub axis_s: f64,
+    pub placing_s: f64,
+    pub solving_s: f64,
 }
 
 /// A frame in the world.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub(super) struct PlacedFrame {
     pub number: u32,
     pub time_s: f64,
@@ -79,6 +92,7 @@ impl PlacedFrame {
 }
 
 /// An echo beyond the ends of the axis.
+#[derive(Serialize, Deserialize)]
 struct PendingEcho {
     point_mm: DVec3,
     image_normal: DVec3,
@@ -87,6 +101,7 @@ struct PendingEcho {
 }
 
 /// The vessel found so far.
+#[derive(Serialize, Deserialize)]
 pub(super) struct GrowingVessel {
     curve: Curve,
     /// Length along the curve of the first ring, mm.
@@ -146,27 +161,58 @@ impl GrowingVessel {
         vessel
     }
 
+    /// Whether it can go on after it was read from a file.
+    pub fn is_sound(&self, settings: &Settings) -> bool {
+        let WallGrid { rings, nodes, step_mm, arc_mm } = self.grid;
+        // Before anything is multiplied.
+        if !(2..=MAX_RINGS).contains(&rings) || !(3..=MAX_NODES).contains(&nodes) || !self.curve.is_sound() {
+            return false;
+        }
+        let of_settings =
+            (self.roughness, self.half_life_s) == (settings.sweep.roughness, settings.sweep.half_life_s);
+        let lengths = [step_mm, arc_mm, self.axis.step_mm];
+        let axis = &self.axis;
+        let bins = |k: usize| self.bins.iter().filter_map(move |bins| bins[k]);
+        of_settings
+            && lengths.iter().all(|mm| mm.is_finite() && *mm > MIN_STEP_SPACINGS * self.curve.spacing_mm())
+            && (0.0..2.0 * step_mm).contains(&self.origin_mm)
+            && [axis.points_mm.len(), axis.frames.len(), self.bands.len()] == [rings; 3]
+            && [self.radii_mm.len(), self.bins.len()] == [rings * nodes; 2]
+            && self.support.is_of(rings * nodes)
+            && self.bands.iter().all(|band| band.is_sound(&self.grid))
+            && self.observed.start <= self.observed.end
+            && self.observed.end < rings
+            && self.background < rings + BACKGROUND_STEP
+            && self.pending.len() <= MAX_PENDING
+            && self.residuals.holds(self.bands.iter().flat_map(EchoBand::bins))
+            && self.densities.holds(bins(0))
+            && self.errors.holds(bins(1))
+    }
+
     /// Places the first frames and fits the wall about them.
     pub fn start(&mut self, frames: &[PlacedFrame]) -> Result<Step> {
         let mut step = Step::default();
+        let start = Instant::now();
         let samples: Vec<(usize, Sample, f64)> =
             frames.iter().flat_map(|frame| self.placed(frame, false)).collect();
         let mut radii: Vec<f64> = samples.iter().map(|(_, sample, _)| sample.echo.radius_mm).collect();
         let start_mm = median(&mut radii);
         self.radii_mm.fill(start_mm);
         for (band, sample, time_s) in samples {
-            self.insert(band, sample, time_s, start_mm, true);
+            self.insert(band, sample, time_s, start_mm);
         }
+        step.placing_s = start.elapsed().as_secs_f64();
+        let start = Instant::now();
         for round in 0..FIRST_ROUNDS {
             let noise_mm = if round < WARM_UP_ROUNDS { start_mm } else { self.noise_mm() };
-            for band in self.observed.clone() {
-                let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
-                self.bands[band].measure(model, &mut self.residuals, round < WARM_UP_ROUNDS);
-                step.echoes += self.bands[band].kept;
-            }
+            let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
+            let observed: Vec<usize> = self.observed.clone().collect();
+            measure(&mut self.bands, &observed, model, &mut self.residuals, round < WARM_UP_ROUNDS);
+            step.echoes += self.bands.iter().map(|band| band.kept).sum::<usize>();
             step.rings += self.refit(self.observed.start..self.observed.end + 1, &mut 0)?.len();
         }
         step.changed.push(0..self.grid.rings);
+        step.solving_s = start.elapsed().as_secs_f64();
         Ok(step)
     }
 
@@ -176,6 +222,7 @@ impl GrowingVessel {
     /// [`Error::Solver`](crate::Error::Solver) where the wall's equations have no solution; the wall then stays as it was.
     pub fn push(&mut self, frame: &PlacedFrame) -> Result<Step> {
         let mut step = Step::default();
+        let start = Instant::now();
         match frame.centre_mm().map(|centre| self.curve.push(centre)) {
             Some(Growth::Moved { before, moved }) => {
                 let (before, moved) = self.move_axis(before, moved, &mut step);
@@ -185,16 +232,20 @@ impl GrowingVessel {
             Some(Growth::Outlier) => step.off_axis = true,
             Some(Growth::None) | None => (),
         }
+        step.axis_s = start.elapsed().as_secs_f64();
+        let start = Instant::now();
         let noise_mm = self.noise_mm();
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for (band, sample, time_s) in self.placed(frame, step.off_axis) {
             step.changed.extend(self.mark_observed(band));
-            let (ring, on_wall) = self.insert(band, sample, time_s, noise_mm, true);
+            let (ring, on_wall) = self.insert(band, sample, time_s, noise_mm);
             step.echoes += 1;
             if on_wall {
                 (low, high) = (low.min(ring), high.max(ring));
             }
         }
+        step.placing_s = start.elapsed().as_secs_f64();
+        let start = Instant::now();
         if low <= high {
             let middle = (low + high) / 2.0;
             let reach = ((high - low) / 2.0 + self.margin()).min(MAX_WINDOW as f64 / 2.0);
@@ -207,6 +258,7 @@ impl GrowingVessel {
             step.changed.push(solved);
         }
         step.changed.push(self.refit_background(&mut step.echoes, &mut step.rings)?);
+        step.solving_s = start.elapsed().as_secs_f64();
         step.changed.retain(|range| !range.is_empty());
         step.changed.sort_by_key(|range| range.start);
         step.changed.dedup_by(|next, before| {
@@ -304,7 +356,7 @@ impl GrowingVessel {
             match self.sample(echo.point_mm, echo.image_normal, echo.frame, near) {
                 Some((band, sample)) => {
                     step.changed.extend(self.mark_observed(band));
-                    self.insert(band, sample, echo.time_s, noise_mm, true);
+                    self.insert(band, sample, echo.time_s, noise_mm);
                 }
                 None => self.pending.push_back(echo),
             }
@@ -312,17 +364,15 @@ impl GrowingVessel {
     }
 
     /// Adds a sample to its band; returns the ring of its projection, and whether it lies on the wall.
-    fn insert(&mut self, band: usize, sample: Sample, time_s: f64, noise_mm: f64, new: bool) -> (f64, bool) {
+    fn insert(&mut self, band: usize, sample: Sample, time_s: f64, noise_mm: f64) -> (f64, bool) {
         let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
         let band = &mut self.bands[band];
-        if new {
-            if let Some(half_life_s) = self.half_life_s.filter(|_| band.latest_s < time_s) {
-                band.age((-(time_s - band.latest_s) / half_life_s).exp2());
-            }
-            band.latest_s = band.latest_s.max(time_s);
+        if let Some(half_life_s) = self.half_life_s.filter(|_| band.latest_s < time_s) {
+            band.age((-(time_s - band.latest_s) / half_life_s).exp2());
         }
+        band.latest_s = band.latest_s.max(time_s);
         let radius_mm = sample.echo.radius_mm;
-        let inserted = band.insert(sample, model, &self.axis, &mut self.residuals, new);
+        let inserted = band.insert(sample, model, &self.axis, &mut self.residuals);
         if inserted.1 {
             self.farthest_mm = self.farthest_mm.max(radius_mm);
         }
@@ -432,37 +482,72 @@ impl GrowingVessel {
                 frames[ring] = transported(&frames[from], points[ring] - points[from], tangents[ring]);
             }
         }
-        // To first order the wall keeps its place.
+        let mut shift_mm = vec![0.0; self.radii_mm.len()];
+        let mut travel_mm = vec![0.0; all.end];
         for ring in changed.clone().filter(|ring| (in_front..in_front + old).contains(ring)) {
             let shift = self.axis.points_mm[ring] - before_mm[ring - changed.start];
             let frame = &self.axis.frames[ring];
             let (x, y) = (shift.dot(frame.x_axis), shift.dot(frame.y_axis));
+            travel_mm[ring] = shift.length();
             for j in 0..nodes {
                 let (sin, cos) = (TAU * j as f64 / nodes as f64).sin_cos();
-                self.radii_mm[ring * nodes + j] -= x * cos + y * sin;
+                shift_mm[ring * nodes + j] = -(x * cos + y * sin);
             }
         }
-        let noise_mm = self.noise_mm();
-        let bands = changed.start.saturating_sub(1)..changed.end.min(all.end - 1);
-        let mut samples = Vec::new();
-        for band in bands {
-            let latest_s = self.bands[band].latest_s;
-            let drained = self.bands[band].drain(&self.grid, band);
-            samples.extend(drained.into_iter().map(|sample| (band, sample, latest_s)));
-        }
-        step.echoes += samples.len();
-        for (band, mut sample, latest_s) in samples {
-            if let Some(place) = self.axis.place(sample.point_mm, band) {
-                let old = sample.echo;
-                sample.echo = Echo::new(&place, sample.image_normal, old.frame, nodes);
-                sample.echo.keep_projection_of(&old);
-                let band = place.ring as usize;
-                step.changed.extend(self.mark_observed(band));
-                self.insert(band, sample, latest_s, noise_mm, false);
-            }
-        }
-        self.place_pending(noise_mm, step);
+        // To first order the wall keeps its place.
+        self.radii_mm.iter_mut().zip(&shift_mm).for_each(|(radius, shift)| *radius += shift);
+        self.place_again(&changed, &shift_mm, &travel_mm, step);
+        self.place_pending(self.noise_mm(), step);
         (in_front, changed)
+    }
+
+    /// Places the echoes about rings that moved by `travel_mm` again.
+    ///
+    /// Of the bands that travelled most, as many are linearised anew as a frame has time for. The sums of the others keep
+    /// their meaning to first order, as the radii do, which changed by `shift_mm`: their turn comes in the windows of later
+    /// frames.
+    fn place_again(&mut self, moved: &Range<usize>, shift_mm: &[f64], travel_mm: &[f64], step: &mut Step) {
+        let bands = moved.start.saturating_sub(1)..moved.end.min(self.grid.rings - 1);
+        let (axis, grid) = (&self.axis, &self.grid);
+        let leaving: Vec<Vec<(usize, Sample)>> = self
+            .bands
+            .par_iter_mut()
+            .enumerate()
+            .map(|(ring, band)| {
+                band.move_sums(moved, shift_mm, grid);
+                if bands.contains(&ring) { band.place_again(axis, ring) } else { Vec::new() }
+            })
+            .collect();
+        let noise_mm = self.noise_mm();
+        for (ring, samples) in leaving.into_iter().enumerate().filter(|(ring, _)| bands.contains(ring)) {
+            let travel_mm = travel_mm[ring].max(travel_mm[ring + 1]);
+            self.bands[ring].travel_mm += travel_mm;
+            step.echoes += self.bands[ring].kept + samples.len();
+            for (band, sample) in samples {
+                step.changed.extend(self.mark_observed(band));
+                let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
+                self.bands[band].take_in(sample, model, &self.axis, travel_mm);
+            }
+        }
+        let mut budget = MAX_MEASURED_AFTER_MOVE;
+        let due = self.due(bands, 0.0, &mut budget);
+        let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
+        measure(&mut self.bands, &due, model, &mut self.residuals, false);
+    }
+
+    /// Those of some bands that have travelled by more than `enough_mm`, the ones that travelled most first, as many as a
+    /// budget of samples allows; in ascending order.
+    fn due(&self, bands: Range<usize>, enough_mm: f64, budget: &mut usize) -> Vec<usize> {
+        let mut due: Vec<usize> = bands.filter(|&band| self.bands[band].travel_mm > enough_mm).collect();
+        due.sort_by(|&a, &b| self.bands[b].travel_mm.total_cmp(&self.bands[a].travel_mm));
+        let affordable = due.into_iter().take_while(|&band| {
+            let left = budget.checked_sub(self.bands[band].kept);
+            *budget = left.unwrap_or(*budget);
+            left.is_some()
+        });
+        let mut due: Vec<usize> = affordable.collect();
+        due.sort_unstable();
+        due
     }
 
     /// Solves for the wall in a window of rings with all others fixed. Before that, up to `budget` residuals are evaluated
@@ -476,18 +561,8 @@ impl GrowingVessel {
         let noise_mm = self.noise_mm();
         let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
         let enough_mm = ENOUGH_NOISE_SHARE * noise_mm;
-        let mut due: Vec<usize> = (window.start.saturating_sub(1)..window.end.min(all - 1))
-            .filter(|&band| self.bands[band].travel_mm > enough_mm)
-            .collect();
-        due.sort_by(|&a, &b| self.bands[b].travel_mm.total_cmp(&self.bands[a].travel_mm));
-        for band in due {
-            let band = &mut self.bands[band];
-            if band.kept > *budget {
-                break;
-            }
-            *budget -= band.kept;
-            band.measure(model, &mut self.residuals, false);
-        }
+        let due = self.due(window.start.saturating_sub(1)..window.end.min(all - 1), enough_mm, budget);
+        measure(&mut self.bands, &due, model, &mut self.residuals, false);
 
         let smoothness = self.smoothness_mm2();
         let beside = |margin: usize| window.start.saturating_sub(margin)..(window.end + margin).min(all);
@@ -556,6 +631,21 @@ impl GrowingVessel {
                 && is_in_reach(self.radii_mm[node], self.farthest_mm);
         }
     }
+}
+
+/// Evaluates the residuals of some bands, in ascending order, and computes their sums.
+fn measure(
+    bands: &mut [EchoBand],
+    some: &[usize],
+    model: ResidualModel,
+    residuals: &mut RunningMedian,
+    warm_up: bool,
+) {
+    let is_due = |(number, _): &(usize, &mut EchoBand)| some.binary_search(number).is_ok();
+    let mut due: Vec<&mut EchoBand> =
+        bands.iter_mut().enumerate().filter(is_due).map(|(_, band)| band).collect();
+    due.par_iter_mut().for_each(|band| band.measure(model, warm_up));
+    due.iter_mut().for_each(|band| band.count_residuals(residuals, warm_up));
 }
 
 /// The model that residuals are evaluated on.

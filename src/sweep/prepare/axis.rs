@@ -3,13 +3,14 @@
 use crate::geometry::polyline::lengths;
 use crate::geometry::{NaturalSpline, rotation_minimising_frames};
 use glam::{DMat3, DVec3};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// The curve that a section is swept along: ring k lies in the plane through `points_mm[k]` normal to `frames[k].z_axis`.
 ///
 /// Between two rings, plane, origin and axes are interpolated linearly. Coordinates about the axis are therefore one-to-one
 /// and continuous wherever the wall is nearer to the axis than the axis's centre of curvature.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Axis {
     /// Origins of the rings, mm.

@@ -4,10 +4,11 @@ use crate::numerics::robust::median;
 use crate::recording::Frame;
 use crate::{Error, Result};
 use glam::DVec2;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// The lumen's outline in a frame, without wrong echoes and noise.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(in crate::sweep) struct Outline {
     /// Centroid of its area in the probe's plane, mm.
     pub centre_mm: DVec2,

@@ -5,10 +5,11 @@ use crate::geometry::Pose;
 use crate::recording::{FRAME_INTERVAL_S, Frame};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// An echo about the axis, and its projection onto the wall.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(in crate::sweep) struct Echo {
     /// Along the axis, in rings.
     pub ring: f64,

@@ -1,5 +1,6 @@
 //! The grid about the axis that the wall is a function on.
 
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// Deviation of a wall of roughness one from a flat triangle, in edge lengths. It counts as noise, so that perfect echoes
@@ -8,7 +9,7 @@ pub(in crate::sweep) const CELL_NOISE: f64 = 0.3;
 
 /// `rings` rings of `nodes` nodes; node (k, j) has index `k·nodes + j` and lies at `θ = 2πj/nodes`. Each cell
 /// a, b, b', a' between two rings consists of the triangles (a, b, b') and (a, b', a').
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(in crate::sweep) struct WallGrid {
     pub rings: usize,
     pub nodes: usize,

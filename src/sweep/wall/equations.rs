@@ -2,6 +2,7 @@
 
 use crate::sweep::prepare::grid::{Corners, WallGrid};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// Nodes per parallel task of a sum.
@@ -10,7 +11,7 @@ const TASK_NODES: usize = 1024;
 const FIXED_STIFFNESS: f64 = 1e6;
 
 /// The normal equations of weighted points on the triangles of a grid.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(in crate::sweep) struct Equations {
     /// The first node covered.
     first: usize,
@@ -23,6 +24,11 @@ impl Equations {
     pub(in crate::sweep) fn over(grid: &WallGrid, rings: Range<usize>) -> Self {
         let first = rings.start * grid.nodes;
         Self { first, rows: vec![[0.0; 5]; rings.len() * grid.nodes] }
+    }
+
+    /// Whether they are those of these rings of a grid.
+    pub(in crate::sweep) fn covers(&self, rings: &Range<usize>, grid: &WallGrid) -> bool {
+        self.first == rings.start * grid.nodes && self.rows.len() == rings.len() * grid.nodes
     }
 
     /// Adds a point: `weight · (x(corners) - value)²`.
@@ -67,6 +73,21 @@ impl Equations {
     /// Multiplies the weights of all points.
     pub(in crate::sweep) fn scale(&mut self, factor: f64) {
         self.rows.as_flattened_mut().iter_mut().for_each(|x| *x *= factor);
+    }
+
+    /// Changes the values of all points as those of a surface through them change: by `shift` at the nodes that are covered.
+    pub(in crate::sweep) fn shift(&mut self, shift: &[f64], nodes: usize) {
+        for n in 0..self.rows.len() {
+            let next = if (n + 1).is_multiple_of(nodes) { n + 1 - nodes } else { n + 1 };
+            let [own, couplings @ .., _] = self.rows[n];
+            self.rows[n][4] += own * shift[n];
+            for (m, coupling) in [next, n + nodes, next + nodes].into_iter().zip(couplings) {
+                if coupling != 0.0 {
+                    self.rows[n][4] += coupling * shift[m];
+                    self.rows[m][4] += coupling * shift[n];
+                }
+            }
+        }
     }
 
     /// Shifts node numbers by `nodes` new nodes in front.
@@ -122,5 +143,30 @@ mod tests {
         whole.add(&corners, 2.0, 3.0);
         assert_eq!(parts.rows, whole.rows);
         assert_eq!(Equations::sum(&GRID, &[some]).rows, whole.rows);
+    }
+
+    #[test]
+    fn values_follow_a_surface_that_moves() {
+        let at = |corners: &Corners, values: &[f64]| -> f64 {
+            corners.nodes.iter().zip(corners.weights).map(|(n, w)| values[n - 2 * GRID.nodes] * w).sum()
+        };
+        let shift: Vec<f64> = (0..3 * GRID.nodes).map(|n| (n as f64).sin()).collect();
+        let [mut shifted, mut expected] = [0; 2].map(|_| Equations::over(&GRID, 2..5));
+        for (ring, node, weight) in [(2.6, 7.5, 2.0), (2.2, 7.9, 1.0), (3.3, 0.2, 0.5), (3.9, 4.4, 1.5)] {
+            let corners = GRID.corners(ring, node);
+            shifted.add(&corners, weight, 3.0);
+            expected.add(&corners, weight, 3.0 + at(&corners, &shift));
+        }
+        let apart = |a: &Equations, b: &Equations| {
+            a.rows
+                .iter()
+                .flatten()
+                .zip(b.rows.iter().flatten())
+                .map(|(a, b)| (a - b).abs())
+                .fold(0.0, f64::max)
+        };
+        assert!(apart(&shifted, &expected) > 0.1);
+        shifted.shift(&shift, GRID.nodes);
+        assert!(apart(&shifted, &expected) < 1e-12);
     }
 }

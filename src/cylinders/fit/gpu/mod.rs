@@ -20,6 +20,7 @@ use super::{
 use crate::cylinders::passes::{DeviceCylinder, DevicePair, Section};
 use crate::cylinders::track::{NearFrame, empty_section};
 use crate::cylinders::tube::Tube;
+use crate::error::unless_cancelled;
 use crate::gpu::{AdapterDescription, Context, GpuError, Job, Runner, Spent, Timer};
 use crate::numerics::Scalar;
 use crate::settings::Settings;
@@ -544,11 +545,10 @@ impl Engine for GpuEngine {
         let mut fitted = Vec::with_capacity(request.frames.len());
         let without = self.each_batch(request, |batch| {
             fitted.extend(self.fit_batch(request, &batch)?);
-            (request.progress)(batch.frames.len());
-            Ok(())
+            unless_cancelled((request.progress)(batch.frames.len()))
         })?;
         if !without.is_empty() {
-            (request.progress)(without.len());
+            unless_cancelled((request.progress)(without.len()))?;
         }
         Fit::of(fitted.into_iter().chain(without.into_iter().map(Err)), self.describe())
     }
