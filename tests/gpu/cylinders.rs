@@ -76,6 +76,15 @@ fn numbers(tube: &DeformedTube) -> impl Iterator<Item = (&'static str, f64, f64)
         .chain(counts.map(|(name, count)| (name, count as f64, 0.0)))
 }
 
+/// The difference of two numbers; infinite where one of them is none, as the residual of a node without points.
+fn apart(x: f64, y: f64) -> f64 {
+    match (x.is_nan(), y.is_nan()) {
+        (true, true) => 0.0,
+        (false, false) => (x - y).abs(),
+        _ => f64::INFINITY,
+    }
+}
+
 /// Whether an inexact device computed what its twin did: every number is alike to some roundings, or else differs where
 /// the twin does too when its inputs are moved by as much, and no farther than [`AS_FAR`] times that. The share of
 /// numbers that need explaining is the result.
@@ -87,11 +96,7 @@ fn agree(
     if found.tube != expected.tube || numbers(found).count() != numbers(expected).count() {
         return Err("another tube".into());
     }
-    // A number that is none in both is alike.
-    let differs = |(_, x, alike): (&str, f64, f64), y: f64| {
-        let is_alike = x.to_bits() == y.to_bits() || (x - y).abs() <= alike;
-        !is_alike
-    };
+    let differs = |(_, x, alike): (&str, f64, f64), y: f64| apart(x, y) > alike;
     let unlike: Vec<usize> = numbers(found)
         .zip(numbers(expected))
         .enumerate()
@@ -104,7 +109,7 @@ fn agree(
     let mut reach = vec![0.0_f64; numbers(expected).count()];
     for tube in moved() {
         for ((far, moved), expected) in reach.iter_mut().zip(numbers(&tube)).zip(numbers(expected)) {
-            *far = far.max((moved.1 - expected.1).abs());
+            *far = far.max(apart(moved.1, expected.1));
         }
     }
     let (found, expected): (Vec<_>, Vec<_>) = (numbers(found).collect(), numbers(expected).collect());
@@ -227,6 +232,9 @@ fn what_rounding_decides_is_told_from_a_fault() {
     agree(&swapped).unwrap_err();
     let mut off = found.clone();
     off.support[steady] += 1;
+    agree(&off).unwrap_err();
+    let mut off = found.clone();
+    off.residual_mm[steady] = f64::NAN;
     agree(&off).unwrap_err();
     let mut off = found.clone();
     off.residual_mm[steady] += 1e-3;

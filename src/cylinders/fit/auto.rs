@@ -64,11 +64,10 @@ impl Work {
     /// Time on a started device of that kind.
     #[cfg(feature = "gpu")]
     fn device_s(&self, kind: &str) -> f64 {
-        // Measured from host slices to results: 0.44 ms for 60 faces and 1e4 points, 130 and 234 ms for 1e7
-        // points and 0.26 and 4.2 million faces, three iterations each. About half of it does not depend on
-        // the iterations.
-        let share = 0.5 + self.iterations / 6.0;
-        let discrete = 0.4e-3 + share * (self.points * 12e-9 + self.faces * 25e-9);
+        // Measured from host slices to results: 0.24 ms for 60 faces and 1e4 points, 10.6 and 45 ms for 1e7
+        // points and 0.26 and 4.2 million faces, three iterations each, of which an iteration is a fiftieth.
+        let share = 0.94 + self.iterations / 50.0;
+        let discrete = 0.27e-3 + share * (self.points * 1.2e-9 + self.faces * 9e-9);
         // Others have a tenth of the memory bandwidth, but no bus to cross.
         if kind == "discrete GPU" { discrete } else { 5.0 * discrete }
     }
@@ -232,15 +231,17 @@ mod tests {
             let ratio = estimate_s * 1e3 / measured_ms;
             assert!((1.0 / 3.0..3.0).contains(&ratio), "{estimate_s} s, measured {measured_ms} ms");
         };
-        near(work(10_000, 12, 5).cpu_s(16), 1.25);
-        near(work(1_000_000, 12, 5).cpu_s(1), 73.0);
-        near(work(1_000_000, 512, 512).cpu_s(1), 163.0);
-        near(work(10_000_000, 512, 512).cpu_s(1), 1688.0);
+        near(work(10_000, 12, 5).cpu_s(16), 1.1);
+        near(work(1_000_000, 12, 5).cpu_s(1), 61.0);
+        near(work(1_000_000, 512, 512).cpu_s(1), 207.0);
+        near(work(10_000_000, 512, 512).cpu_s(1), 1766.0);
         #[cfg(feature = "gpu")]
         for (work, measured_ms) in [
-            (work(10_000, 12, 5), 0.44),
-            (work(10_000_000, 512, 512), 130.0),
-            (work(10_000_000, 2048, 2048), 234.0),
+            (work(10_000, 12, 5), 0.24),
+            (work(1_000_000, 12, 5), 1.1),
+            (work(1_000_000, 512, 512), 1.9),
+            (work(10_000_000, 512, 512), 10.6),
+            (work(10_000_000, 2048, 2048), 45.0),
         ] {
             near(work.device_s("discrete GPU"), measured_ms);
             assert!(work.device_s("integrated GPU") > work.device_s("discrete GPU"));
