@@ -207,6 +207,40 @@ fn over_the_fold_the_triangles_tie_and_the_point_goes_to_bottom() {
     assert!(ties > 10_000);
 }
 
+/// Of random points about random faces, the share whose nearer triangle is another one in f32 than in f64.
+#[test]
+fn rounding_decides_few_of_the_choices_between_two_triangles() {
+    const POINTS: usize = 100_000;
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    // Nodes and levels, how far corners and points lie from a along r (mm), and the most choices that may differ.
+    for (nodes, levels, corners_mm, points_mm, most) in [
+        (12, 5, 0.0, 0.5, 0),
+        (2048, 2048, 0.0, 0.5, 0),
+        (12, 5, 0.5, 0.5, 3),
+        (512, 512, 0.05, 0.5, 3),
+        (2048, 2048, 0.5, 0.5, 3),
+        (4096, 5, 5.0, 5.0, 3),
+        (30, 300, 0.001, 5.0, 150),
+    ] {
+        let single = grid::<f32>(nodes, levels);
+        let (step_theta, step_z) = (f64::from(single.step_theta), f64::from(single.step_z));
+        let (faces_per_rad, faces_per_mm) = (1.0 / step_theta, 1.0 / step_z);
+        let double = TubeGrid { step_theta, step_z, faces_per_rad, faces_per_mm, ..grid(nodes, levels) };
+        let mut differ = 0;
+        for _ in 0..POINTS {
+            let mut within = |reach: f32| rng.random_range(-1.0..=1.0_f32) * reach;
+            let corners = [(); 3].map(|()| within(corners_mm));
+            let [r, y, z] = [within(points_mm), within(0.5) + 0.5, within(0.5) + 0.5];
+            let p = [r, y * single.step_theta, z * single.step_z];
+            let (_, top) = distance(p, &Face::new(corners, &single), &single);
+            let (_, exact) = distance(p.map(f64::from), &Face::new(corners.map(f64::from), &double), &double);
+            differ += usize::from(top != exact);
+        }
+        println!("{nodes}x{levels}, corners within {corners_mm} mm: {differ} of {POINTS}");
+        assert!(differ <= most, "{nodes}x{levels}, corners within {corners_mm} mm: {differ}");
+    }
+}
+
 /// The frames up to and including one, that one last and the others in any order, points of each in any order.
 fn shuffled(recording: &Recording, frame: usize, rng: &mut ChaCha8Rng) -> Recording {
     let mut frames = recording.frames[..frame].to_vec();
