@@ -143,6 +143,9 @@ pub struct SweepSettings {
     /// Whether a small error of every pose is estimated together with the wall and removed. It pays where the tracker is
     /// noisier than 0.3 mm and 0.5°, or where frames are sparse, and takes several times as long.
     pub correct_poses: bool,
+    /// Whether smoothing is the same along the whole vessel, rather than following its roughness and the noise that
+    /// neighbouring echoes share.
+    pub even_smoothness: bool,
     /// Whether a constant time offset between poses and contours is estimated, and corrected where it is significant.
     /// Frames must have times.
     pub estimate_offset: bool,
@@ -159,6 +162,7 @@ impl Default for SweepSettings {
             roughness: 0.125,
             keep_unsupported: false,
             correct_poses: false,
+            even_smoothness: false,
             estimate_offset: false,
             half_life_s: None,
         }
@@ -170,6 +174,7 @@ setters!(SweepSettings {
     with_roughness => roughness: f64,
     with_keep_unsupported => keep_unsupported: bool,
     with_correct_poses => correct_poses: bool,
+    with_even_smoothness => even_smoothness: bool,
     with_estimate_offset => estimate_offset: bool,
     with_half_life_s => half_life_s: Option<f64>,
 });
@@ -425,6 +430,7 @@ mod tests {
             ("gate", "[0, 2.5]"),
             ("sweep.nodes", "64"),
             ("sweep.correct_poses", "true"),
+            ("sweep.even_smoothness", "true"),
             ("calibration.position_mm", "[1, 2.5, -3]"),
             ("unfit_frames", "keep"),
             ("conventions.units", "cm"),

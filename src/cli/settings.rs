@@ -61,6 +61,9 @@ pub(super) struct SettingsArguments {
     /// Of a sweep: estimate a small error of every pose along with the wall and correct it
     #[arg(long)]
     correct_poses: bool,
+    /// Of a sweep: smooth evenly, rather than as the vessel's roughness and its noise ask for
+    #[arg(long)]
+    even_smoothness: bool,
     /// Of a sweep: estimate how much older poses are than contours, and correct it where significant
     #[arg(long)]
     estimate_offset: bool,
@@ -128,6 +131,7 @@ impl SettingsArguments {
         set(&mut settings.sweep.roughness, self.roughness);
         settings.sweep.keep_unsupported |= self.keep_unsupported;
         settings.sweep.correct_poses |= self.correct_poses;
+        settings.sweep.even_smoothness |= self.even_smoothness;
         settings.sweep.estimate_offset |= self.estimate_offset;
         if self.half_life.is_some() {
             settings.sweep.half_life_s = self.half_life;
@@ -166,6 +170,7 @@ impl SettingsArguments {
             ("sweep.roughness", self.roughness.is_some()),
             ("sweep.keep_unsupported", self.keep_unsupported),
             ("sweep.correct_poses", self.correct_poses),
+            ("sweep.even_smoothness", self.even_smoothness),
             ("sweep.estimate_offset", self.estimate_offset),
             ("sweep.half_life_s", self.half_life.is_some()),
         ];

@@ -6,6 +6,7 @@
 //! `support`, which computes the standard errors of the nodes; and `surface`, which makes triangles of the wall. `live`
 //! does the same frame by frame.
 
+mod errors;
 mod live;
 mod prepare;
 mod report;
@@ -14,6 +15,7 @@ mod surface;
 mod tracker;
 pub(crate) mod wall;
 
+pub use errors::{AlikeErrors, RecordingErrors};
 pub(crate) use live::LiveSweep;
 pub use prepare::axis::Axis;
 pub use report::{SweepReport, SweepTimings};
@@ -110,12 +112,20 @@ impl Sweep {
         let tracker = timed(&mut seconds.tracker, || {
             Tracker::correct(&prepared, &settings.sweep, &mut echoes, &mut wall)
         })?;
-        progress("estimating the standard errors", 4)?;
+        progress("estimating the errors", 4)?;
+        let mut support = timed(&mut seconds.support, || Support::of(&prepared.grid, &echoes, &wall));
+        let errors = timed(&mut seconds.errors, || {
+            errors::estimate(&prepared, &settings.sweep, &mut echoes, &mut wall, &support)
+        })?;
         let tangential_noise_mm = prepared.tangential_noise_mm().min(wall.noise_mm);
         for radius in &mut wall.radii_mm {
             *radius -= outward_bias_mm(*radius, tangential_noise_mm);
         }
-        let support = timed(&mut seconds.support, || Support::of(&prepared.grid, &echoes, &wall));
+        let errors = errors.map(|(errors, standard_errors_mm)| {
+            support = Support::of(&prepared.grid, &echoes, &wall);
+            support.replace_standard_errors(standard_errors_mm);
+            errors
+        });
         if !surface::has_support(prepared.grid.nodes, prepared.grid.rings, &support) {
             return Err(Error::Surface {
                 what: "wall that echoes support".into(),
@@ -128,7 +138,7 @@ impl Sweep {
                 expected: "more echoes on each part of the wall, or less noise".into(),
             });
         }
-        let fitted = FittedWall { wall, echoes, engine, tracker, tangential_noise_mm };
+        let fitted = FittedWall { wall, echoes, engine, tracker, errors, tangential_noise_mm };
         let report = SweepReport::of(&prepared, &fitted, &support, seconds);
         let Prepared { axis, grid, .. } = prepared;
         progress("done", STAGES)?;

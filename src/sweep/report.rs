@@ -1,5 +1,6 @@
 //! A sweep in numbers.
 
+use super::errors::RecordingErrors;
 use super::prepare::Prepared;
 use super::prepare::echo::Echo;
 use super::support::Support;
@@ -55,6 +56,8 @@ pub struct SweepReport {
     pub solver_steps: usize,
     /// Errors of the tracker, where the settings ask for them.
     pub tracker: Option<Tracker>,
+    /// Errors of the recording, as its echoes show them; `None` where there are too few echoes, or they are perfect.
+    pub errors: Option<RecordingErrors>,
     /// Time of each stage.
     pub seconds: SweepTimings,
 }
@@ -71,6 +74,8 @@ pub struct SweepTimings {
     pub fit: f64,
     /// Correcting the tracker's errors.
     pub tracker: f64,
+    /// Estimating the recording's errors, and fitting the wall again with a smoothness that follows its roughness.
+    pub errors: f64,
     /// Computing the support of the nodes.
     pub support: f64,
 }
@@ -89,6 +94,7 @@ pub(super) struct FittedWall {
     pub echoes: Vec<Echo>,
     pub engine: EngineDescription,
     pub tracker: Option<Tracker>,
+    pub errors: Option<RecordingErrors>,
     /// Standard deviation of the echoes along the wall, mm.
     pub tangential_noise_mm: f64,
 }
@@ -101,7 +107,7 @@ impl SweepReport {
         seconds: SweepTimings,
     ) -> Self {
         let Prepared { frames, grid, .. } = prepared;
-        let FittedWall { wall, echoes, engine, tracker, tangential_noise_mm } = fitted;
+        let FittedWall { wall, echoes, engine, tracker, errors, tangential_noise_mm } = fitted;
         let is_supported =
             |k: &usize| support.supported[k * grid.nodes..(k + 1) * grid.nodes].contains(&true);
         let mut supported_rings = (0..grid.rings).filter(is_supported);
@@ -128,6 +134,7 @@ impl SweepReport {
             converged: wall.converged,
             solver_steps: wall.solver_steps,
             tracker: *tracker,
+            errors: errors.clone(),
             seconds,
         }
     }

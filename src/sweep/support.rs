@@ -58,6 +58,15 @@ impl Support {
             == [nodes; 5]
     }
 
+    /// Replaces the standard errors of the nodes with echoes about them.
+    pub(super) fn replace_standard_errors(&mut self, standard_errors_mm: Vec<f64>) {
+        for (old, new) in self.standard_error_mm.iter_mut().zip(standard_errors_mm) {
+            if old.is_finite() {
+                *old = new;
+            }
+        }
+    }
+
     /// Inserts nodes without support.
     pub(super) fn insert(&mut self, at: usize, count: usize) {
         use std::iter::repeat_n;

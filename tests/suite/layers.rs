@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Modules from the bottom to the top; the longest prefix of a path decides.
-const ORDER: [&str; 35] = [
+const ORDER: [&str; 36] = [
     "setters",
     "text",
     "numerics",
@@ -29,6 +29,7 @@ const ORDER: [&str; 35] = [
     "sweep::wall",
     "sweep::support",
     "sweep::tracker",
+    "sweep::errors",
     "sweep::surface",
     "sweep::live",
     "sweep::report",

@@ -122,7 +122,10 @@ fn a_live_sweep_comes_near_to_the_batch() {
         let simulation = simulated(shape, insertion, seed);
         let frames = &simulation.recording.frames;
         let wall = simulation.vessel.surface();
-        let batch = Sweep::of(&simulation.recording, &sweep()).unwrap().surface(false);
+        // A live sweep smooths evenly.
+        let mut even = sweep();
+        even.sweep.even_smoothness = true;
+        let batch = Sweep::of(&simulation.recording, &even).unwrap().surface(false);
         let live = pushed(frames, &sweep()).surface();
         live.check().unwrap();
         let (live_mm, batch_mm) = (mean_error_mm(&live, wall), mean_error_mm(&batch, wall));

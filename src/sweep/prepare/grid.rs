@@ -80,7 +80,12 @@ impl WallGrid {
 
     /// The noise of the echoes plus [`CELL_NOISE`] at the roughness τ, mm.
     pub(in crate::sweep) fn smoothed_noise_mm(&self, noise_mm: f64, roughness: f64) -> f64 {
-        noise_mm.hypot(CELL_NOISE * roughness * self.arc_mm)
+        noise_mm.hypot(self.cell_noise_mm(roughness))
+    }
+
+    /// How far a wall of the roughness τ bends away from flat triangles, mm.
+    pub(in crate::sweep) fn cell_noise_mm(&self, roughness: f64) -> f64 {
+        CELL_NOISE * roughness * self.arc_mm
     }
 }
 

@@ -33,6 +33,11 @@ impl LocalSmoothness {
     /// λ everywhere.
     pub(in crate::sweep) const EVEN: &Self = &Self(Vec::new());
 
+    /// These factors, one for each ring.
+    pub(in crate::sweep) fn of(factors: Vec<f64>) -> Self {
+        Self(factors)
+    }
+
     /// The factor of a ring.
     pub(in crate::sweep) fn factor(&self, ring: usize) -> f64 {
         self.0.get(ring).copied().unwrap_or(1.0)

@@ -63,9 +63,9 @@ impl WallEngine for CpuWallEngine<'_> {
     fn solve(&mut self, reweighting: &Reweighting) -> Result<Solution> {
         self.wall.noise_mm = reweighting.noise_mm;
         let equations = self.equations(reweighting.warm_up);
-        let radii_mm = &mut self.wall.radii_mm;
+        let Wall { radii_mm, local, .. } = &mut self.wall;
         let before = radii_mm.clone();
-        let system = System::plain(&equations, reweighting.smoothness_mm2);
+        let system = System { local, ..System::plain(&equations, reweighting.smoothness_mm2) };
         let solved = solve(self.grid, &system, reweighting.tolerance, MAX_STEPS, radii_mm)?;
         let tasks =
             before.par_chunks(TASK).zip(radii_mm.par_chunks(TASK)).zip(equations.rows().par_chunks(TASK));

@@ -1,5 +1,6 @@
 //! The fit of a wall by iteratively reweighted least squares, whatever engine does the reweightings.
 
+use super::bending::LocalSmoothness;
 use super::residual::ResidualModel;
 use super::solver::Solved;
 use crate::Result;
@@ -17,6 +18,8 @@ pub(in crate::sweep) struct Wall {
     pub noise_mm: f64,
     /// λ, mm².
     pub smoothness_mm2: f64,
+    /// Its factor on each ring.
+    pub local: LocalSmoothness,
     /// Share of the noise's variance across the image plane.
     pub out_of_plane: f64,
     pub iterations: usize,
@@ -88,6 +91,7 @@ impl Wall {
             radii_mm: vec![radius_mm; grid.node_count()],
             noise_mm: radius_mm,
             smoothness_mm2: 0.0,
+            local: LocalSmoothness::default(),
             out_of_plane: OUT_OF_PLANE,
             iterations: 0,
             solver_steps: 0,

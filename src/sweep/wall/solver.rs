@@ -56,55 +56,87 @@ pub(in crate::sweep) fn solve(
     max_steps: usize,
     x: &mut [f64],
 ) -> Result<Solved> {
-    // On a thread of the pool, so that none of the many short tasks has to be handed over to it.
-    rayon::scope(|_| conjugate_gradients(grid, system, tolerance, max_steps, x))
+    let operator = Operator::of(system.equations, grid, system.smoothness_mm2, system.local);
+    let right: Vec<f64> = system.equations.rows().iter().map(|row| row[4]).collect();
+    Solver::of(&operator)?.solve(&right, system.coupling, tolerance, max_steps, x)
 }
 
-fn conjugate_gradients(
-    grid: &WallGrid,
-    system: &System,
-    tolerance: f64,
-    max_steps: usize,
-    x: &mut [f64],
-) -> Result<Solved> {
-    let System { equations, smoothness_mm2, local, coupling } = *system;
-    let operator = Operator::of(equations, grid, smoothness_mm2, local);
-    let multigrid = Multigrid::of(&operator)
-        .ok_or_else(|| broken("weight of all echoes on the wall", operator.lumped_weights().iter().sum()))?;
-    let mut room = multigrid.room();
-    let zeros = || vec![0.0; grid.node_count()];
-    let (mut product, mut z, mut direction) = (zeros(), zeros(), zeros());
-    let mut residual: Vec<f64> = equations.rows().iter().map(|row| row[4]).collect();
-    // In the norm of the preconditioner, which weights a residual by its effect on x.
-    multigrid.precondition(&residual, &mut z, &mut room);
-    let enough = tolerance * tolerance * dot(&residual, &z);
-    operator.apply(x, &mut product);
-    coupling(x, &mut product);
-    update(&mut residual, &product, |right, product| right - product);
-    let mut size = 0.0;
-    for step in 0..=max_steps {
-        multigrid.precondition(&residual, &mut z, &mut room);
-        let next = dot(&residual, &z);
-        if next <= enough || step == max_steps {
-            return Ok(Solved { steps: step, converged: next <= enough });
-        }
-        if !next.is_finite() {
-            return Err(broken("square of the wall equations' residual", next));
-        }
-        let beta = if step == 0 { 0.0 } else { next / size };
-        size = next;
-        update(&mut direction, &z, |direction, z| z + beta * direction);
-        operator.apply(&direction, &mut product);
-        coupling(&direction, &mut product);
-        let curvature = dot(&direction, &product);
-        if !(curvature.is_finite() && curvature > 0.0) {
-            return Err(broken("curvature of the wall equations", curvature));
-        }
-        let alpha = size / curvature;
-        update(x, &direction, |x, direction| x + alpha * direction);
-        update(&mut residual, &product, |residual, product| residual - alpha * product);
+/// A matrix that is ready to be solved for many right-hand sides.
+pub(in crate::sweep) struct Solver<'a> {
+    operator: &'a Operator,
+    multigrid: Multigrid<'a>,
+}
+
+impl<'a> Solver<'a> {
+    /// # Errors
+    /// [`Error::Solver`] where the matrix is not positive definite or holds numbers that are not finite.
+    pub(in crate::sweep) fn of(operator: &'a Operator) -> Result<Self> {
+        let multigrid = Multigrid::of(operator).ok_or_else(|| {
+            broken("weight of all echoes on the wall", operator.lumped_weights().iter().sum())
+        })?;
+        Ok(Self { operator, multigrid })
     }
-    unreachable!("the last step returns")
+
+    /// As [`solve`], for the matrix with a coupling added to it.
+    ///
+    /// # Errors
+    /// As [`solve`].
+    pub(in crate::sweep) fn solve(
+        &self,
+        right: &[f64],
+        coupling: &Coupling,
+        tolerance: f64,
+        max_steps: usize,
+        x: &mut [f64],
+    ) -> Result<Solved> {
+        // On a thread of the pool, so that none of the many short tasks has to be handed over to it.
+        rayon::scope(|_| self.conjugate_gradients(right, coupling, tolerance, max_steps, x))
+    }
+
+    fn conjugate_gradients(
+        &self,
+        right: &[f64],
+        coupling: &Coupling,
+        tolerance: f64,
+        max_steps: usize,
+        x: &mut [f64],
+    ) -> Result<Solved> {
+        let Self { operator, multigrid } = self;
+        let mut room = multigrid.room();
+        let zeros = || vec![0.0; right.len()];
+        let (mut product, mut z, mut direction) = (zeros(), zeros(), zeros());
+        let mut residual = right.to_vec();
+        // In the norm of the preconditioner, which weights a residual by its effect on x.
+        multigrid.precondition(&residual, &mut z, &mut room);
+        let enough = tolerance * tolerance * dot(&residual, &z);
+        operator.apply(x, &mut product);
+        coupling(x, &mut product);
+        update(&mut residual, &product, |right, product| right - product);
+        let mut size = 0.0;
+        for step in 0..=max_steps {
+            multigrid.precondition(&residual, &mut z, &mut room);
+            let next = dot(&residual, &z);
+            if next <= enough || step == max_steps {
+                return Ok(Solved { steps: step, converged: next <= enough });
+            }
+            if !next.is_finite() {
+                return Err(broken("square of the wall equations' residual", next));
+            }
+            let beta = if step == 0 { 0.0 } else { next / size };
+            size = next;
+            update(&mut direction, &z, |direction, z| z + beta * direction);
+            operator.apply(&direction, &mut product);
+            coupling(&direction, &mut product);
+            let curvature = dot(&direction, &product);
+            if !(curvature.is_finite() && curvature > 0.0) {
+                return Err(broken("curvature of the wall equations", curvature));
+            }
+            let alpha = size / curvature;
+            update(x, &direction, |x, direction| x + alpha * direction);
+            update(&mut residual, &product, |residual, product| residual - alpha * product);
+        }
+        unreachable!("the last step returns")
+    }
 }
 
 fn broken(what: &'static str, found: f64) -> Error {

@@ -1,0 +1,463 @@
+//! The errors of a recording, estimated from what the wall leaves unexplained, and the standard errors that follow.
+//!
+//! Errors of neighbouring rays, or of successive frames, are alike: a tracker shifts whole frames, and a segmentation
+//! misses the wall over an arc and for a while. Many such echoes say less than as many independent ones. Second moments of
+//! the residuals ([`moments`]) show which kinds of errors ([`process`]) a recording has. What each kind leaves of itself in
+//! the residuals, and how much of it the wall takes up, is found by drawing it at random and fitting the wall to the draws
+//! ([`smoother`]): the fit is linear in the echoes. Levels of the kinds are those whose moments add up to the recording's.
+//! The wall's own bends are one of the kinds; where the wall is rougher or smoother than its prior expects is found in the
+//! same way, so that smoothing can follow the vessel.
+
+mod moments;
+mod process;
+mod smoother;
+
+use super::prepare::Prepared;
+use super::prepare::echo::Echo;
+use super::prepare::grid::WallGrid;
+use super::support::Support;
+use super::wall::bending::LocalSmoothness;
+use super::wall::engine::refit;
+use super::wall::fit::Wall;
+use super::wall::residual::is_inlier;
+use crate::Result;
+use crate::numerics::nonnegative::nonnegative_least_squares;
+use crate::numerics::robust::median;
+use crate::recording::{FRAME_INTERVAL_S, Frame};
+use crate::settings::SweepSettings;
+use moments::{Sectors, Sums};
+use process::{Process, Seen, add_draw, random};
+use rayon::prelude::*;
+use serde::Serialize;
+use smoother::{Response, Smoother, linearised};
+
+/// Errors of a recording, as far as its echoes show them.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[non_exhaustive]
+pub struct RecordingErrors {
+    /// Standard deviation of the errors that every echo has for itself, mm.
+    pub rays_mm: f64,
+    /// Shifts that the echoes of a frame have in common: the tracker's.
+    pub shifts: Vec<AlikeErrors>,
+    /// Errors of the contours that are alike along the wall.
+    pub contours: Vec<AlikeErrors>,
+    /// Roughness of the wall, as `sweep.roughness` counts it: the median over the supported nodes.
+    pub roughness: f64,
+    /// Number of descriptions that suit the echoes equally well. The first one is given here; standard errors are a mean
+    /// over all.
+    pub descriptions: usize,
+}
+
+/// Errors that are alike in neighbouring echoes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct AlikeErrors {
+    /// Standard deviation, mm; of a shift along each axis.
+    pub sd_mm: f64,
+    /// Width about the lumen over which they are alike, degrees; `None` for a shift of the whole frame.
+    pub width_deg: Option<f64>,
+    /// Time over which they are forgotten, s; 0 where every frame has its own.
+    pub correlation_s: f64,
+}
+
+/// Smallest recording whose errors are estimated: frames, and echoes.
+const MIN_FRAMES: usize = 24;
+const MIN_ECHOES: usize = 500;
+/// Draws of the kinds of errors that every recording has, and of each other kind.
+const BASE_DRAWS: usize = 3;
+const OTHER_DRAWS: usize = 1;
+/// Draws behind the roughness, and behind the standard errors.
+const ROUGHNESS_DRAWS: usize = 3;
+const VARIANCE_DRAWS: usize = 8;
+/// Residuals beyond this many standard deviations of the noise count as that many.
+const MAX_SDS: f64 = 3.0;
+/// Accuracy of the moments at best: a share of their own, and of the residuals' variance.
+const MOMENT_SHARE: f64 = 0.03;
+const VARIANCE_SHARE: f64 = 0.001;
+/// Further kinds are tried where the mean square misfit of the moments, in variances of theirs, exceeds this, …
+const POOR_FIT: f64 = 1.5;
+/// … and kept where they lower the sum of squares by this share, and by this much.
+const MIN_GAIN_SHARE: f64 = 0.2;
+const MIN_GAIN: f64 = 8.0;
+/// Other descriptions are as good where their sum of squares exceeds the best by at most this share and this much.
+const SAME_SHARE: f64 = 0.15;
+const SAME: f64 = 3.0;
+/// Correlation times of shifts and contours, in intervals of the frames, and widths of the contours' errors, degrees.
+const CORRELATION_FRAMES: [f64; 3] = [3.0, 12.0, 48.0];
+const WIDTHS_DEG: [f64; 2] = [20.0, 40.0];
+/// Squared roughness of a wall, in units of the setting's; that about a node does not count as less than `MIN_NODE` in
+/// standard errors, since it is hard to tell from 0.
+const MIN_RATIO: f64 = 0.16;
+const MIN_NODE: f64 = 0.25;
+const MAX_RATIO: f64 = 64.0;
+/// Largest design effect that smoothing makes up for: the variance of a wall whose echoes err alike, in units of that where
+/// they err independently. Errors that are alike over more than the reach of an echo are not smoothed away by any means.
+const MAX_DESIGN_EFFECT: f64 = 4.0;
+/// Distances over which statistics are averaged, in reaches of an echo.
+const RING_REACHES: f64 = 1.0;
+const NODE_REACHES: f64 = 3.0;
+const VARIANCE_REACHES: f64 = 2.0;
+
+/// Levels of some kinds of errors: variances, mm².
+type Levels = Vec<(Process, f64)>;
+
+/// What smoothing and standard errors need to know of a recording's errors.
+struct Estimate {
+    /// Descriptions that suit the echoes, the best one first.
+    descriptions: Vec<Levels>,
+    /// Squared roughness of the wall about each node, in units of the setting's.
+    of_nodes: Vec<f64>,
+    /// The same of each ring, over the design effect: the inverse of the factor of λ.
+    of_rings: Vec<f64>,
+}
+
+/// Estimates the errors of a recording, fits the wall again with a smoothness that follows its roughness, and replaces the
+/// standard errors of the nodes. `None`, and no change, where there are too few echoes for it, or they are perfect.
+pub(super) fn estimate(
+    prepared: &Prepared,
+    settings: &SweepSettings,
+    echoes: &mut [Echo],
+    wall: &mut Wall,
+    support: &Support,
+) -> Result<Option<(RecordingErrors, Vec<f64>)>> {
+    let Prepared { grid, frames, .. } = prepared;
+    let roughness = settings.roughness;
+    let perfect = wall.noise_mm.is_nan() || wall.noise_mm <= 1e-9 * grid.radius_mm();
+    if frames.len() < MIN_FRAMES || echoes.len() < MIN_ECHOES || perfect {
+        return Ok(None);
+    }
+    let recording = Recorded::of(grid, frames, echoes, &support.supported);
+    let mut estimate = recording.estimate(roughness, echoes, wall)?;
+    // Without noise the grid smooths more than the echoes ask for.
+    if !settings.even_smoothness && wall.noise_mm > grid.cell_noise_mm(roughness) {
+        wall.local = LocalSmoothness::of(estimate.of_rings.iter().map(|ratio| ratio.recip()).collect());
+        *wall = refit(grid, echoes, roughness, wall.clone())?;
+    } else {
+        estimate.of_rings.fill(1.0);
+    }
+    let standard_errors_mm = recording.standard_errors_mm(&estimate, roughness, echoes, wall)?;
+    let of_supported = estimate.of_nodes.iter().zip(&support.supported).filter(|(_, s)| **s);
+    let median_ratio = median(&mut of_supported.map(|(ratio, _)| *ratio).collect::<Vec<_>>());
+    let errors = RecordingErrors::of(&estimate.descriptions, roughness * median_ratio.sqrt());
+    Ok(Some((errors, standard_errors_mm)))
+}
+
+/// A recording about its grid.
+struct Recorded<'a> {
+    grid: &'a WallGrid,
+    /// When the frames with echoes were taken, s.
+    times_s: Vec<f64>,
+    seen: Vec<Seen>,
+    supported: &'a [bool],
+}
+
+impl<'a> Recorded<'a> {
+    fn of(grid: &'a WallGrid, frames: &[Frame], echoes: &[Echo], supported: &'a [bool]) -> Self {
+        let mut has_echoes = vec![false; frames.len()];
+        echoes.iter().for_each(|echo| has_echoes[echo.frame as usize] = true);
+        let (mut times_s, mut numbers) = (Vec::new(), vec![0; frames.len()]);
+        for k in (0..frames.len()).filter(|&k| has_echoes[k]) {
+            numbers[k] = times_s.len() as u32;
+            let next_s = times_s.last().map_or(0.0, |before| before + FRAME_INTERVAL_S);
+            times_s.push(frames[k].time_s.unwrap_or(next_s));
+        }
+        let seen =
+            |echo: &Echo| Seen { theta_rad: echo.theta_rad(grid.nodes), frame: numbers[echo.frame as usize] };
+        Self { grid, times_s, seen: echoes.iter().map(seen).collect(), supported }
+    }
+
+    /// Kinds that are tried where rays, frames of their own and the wall's bends do not explain the residuals.
+    fn other_kinds(&self) -> Vec<Process> {
+        let mut intervals: Vec<f64> =
+            self.times_s.windows(2).map(|t| t[1] - t[0]).filter(|d| *d > 0.0).collect();
+        let interval_s = median(&mut intervals);
+        let correlations = CORRELATION_FRAMES.map(|frames| frames * interval_s);
+        let shifts = correlations.iter().map(|&correlation_s| Process::Shift { correlation_s });
+        let contours = WIDTHS_DEG.iter().flat_map(|width_deg| {
+            let width_rad = width_deg.to_radians();
+            let of_width = move |correlation_s| Process::Contour { width_rad, correlation_s };
+            std::iter::once(0.0).chain(correlations).map(of_width)
+        });
+        shifts.chain(contours).collect()
+    }
+
+    fn estimate(&self, roughness: f64, echoes: &[Echo], wall: &Wall) -> Result<Estimate> {
+        let linearised = linearised(self.grid, echoes, wall);
+        let smoother = Smoother::of(self.grid, &linearised, wall.smoothness_mm2, roughness)?;
+        let most_mm = MAX_SDS * wall.noise_mm;
+        let residuals_mm: Vec<f64> = echoes.iter().map(|e| e.residual_mm.clamp(-most_mm, most_mm)).collect();
+        let is_on_wall: Vec<bool> = echoes.iter().map(|echo| is_inlier(echo, wall.noise_mm)).collect();
+        let sectors = Sectors::of(&self.seen, &is_on_wall, self.times_s.len());
+        let descriptions = self.descriptions(&smoother, &sectors, &residuals_mm)?;
+
+        let fields: Vec<[Vec<f64>; 3]> = (0..ROUGHNESS_DRAWS)
+            .into_par_iter()
+            .map(|draw| {
+                let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
+                let Response { errors_mm, residuals_mm } = smoother.to_errors(&errors_mm)?;
+                let of_bends = smoother.wall(&smoother.to_bends(draw)?.residuals_mm)?;
+                Ok([errors_mm, smoother.wall(&residuals_mm)?, of_bends])
+            })
+            .collect::<Result<_>>()?;
+        let [errors, noise, bends] = [0, 1, 2].map(|i| mean_squares(fields.iter().map(|field| &field[i])));
+        let found: Vec<f64> = smoother.wall(&residuals_mm)?.iter().map(|x| x * x).collect();
+        let reach_mm = self.reach_mm(echoes, wall);
+        let about = [found, noise, bends].map(|field| self.averaged(&field, NODE_REACHES * reach_mm));
+        let ratio = |n: usize| {
+            let [found, noise, bends] = [0, 1, 2].map(|i| about[i][n]);
+            let ratio = (found - noise) / bends;
+            if ratio.is_finite() { ratio.clamp(MIN_RATIO, MAX_RATIO) } else { 1.0 }
+        };
+        let of_nodes: Vec<f64> = (0..self.grid.node_count()).map(ratio).collect();
+
+        // Echoes of the standard deviation σ that err independently give the wall the variance (σℓ)²/16λ.
+        let independent = (wall.noise_mm * reach_mm).powi(2) / (16.0 * wall.smoothness_mm2);
+        let of_supported = errors.iter().zip(self.supported).filter(|(_, s)| **s).map(|(e, _)| *e);
+        let (sum, count) = of_supported.fold((0.0, 0.0), |(sum, count), e| (sum + e, count + 1.0));
+        let design_effect = (sum / count / independent).clamp(1.0, MAX_DESIGN_EFFECT);
+        // Geometric means: one rough place of a ring should not leave the noise of all others in.
+        let logarithms: Vec<f64> = of_nodes.iter().map(|ratio| ratio.ln()).collect();
+        let of_ring = |mean: &f64| if mean.is_finite() { mean.exp() / design_effect } else { 1.0 };
+        let of_rings =
+            self.averaged_rings(&logarithms, RING_REACHES * reach_mm).iter().map(of_ring).collect();
+        Ok(Estimate { descriptions, of_nodes, of_rings })
+    }
+
+    /// Descriptions of the errors by which the moments of the residuals are explained, the best one first.
+    fn descriptions(
+        &self,
+        smoother: &Smoother,
+        sectors: &Sectors,
+        residuals_mm: &[f64],
+    ) -> Result<Vec<Levels>> {
+        let found = sectors.sums(residuals_mm);
+        let (moments, scatter) = (sectors.means(&found), sectors.errors(&found));
+        let variance = moments[0];
+        let scales: Vec<f64> = moments
+            .iter()
+            .zip(scatter)
+            .map(|(m, s)| {
+                (s * s + (MOMENT_SHARE * m).powi(2) + (VARIANCE_SHARE * variance).powi(2)).sqrt().recip()
+            })
+            .collect();
+        let scaled = |of: &[f64]| -> Vec<f64> { of.iter().zip(&scales).map(|(m, s)| m * s).collect() };
+        let target = scaled(&moments);
+        let columns = |kinds: &[Process], draws: usize, first: usize| -> Result<Vec<Vec<f64>>> {
+            let jobs: Vec<(usize, usize)> =
+                (0..kinds.len()).flat_map(|kind| (0..draws).map(move |draw| (kind, draw))).collect();
+            let sums: Vec<Sums> = jobs
+                .par_iter()
+                .map(|&(kind, draw)| {
+                    let Response { residuals_mm, .. } = match kinds[kind] {
+                        Process::Wall => smoother.to_bends(draw)?,
+                        process => {
+                            let mut errors_mm = vec![0.0; self.seen.len()];
+                            let rng = &mut random(draw, first + kind);
+                            add_draw(process, 1.0, rng, &self.seen, &self.times_s, &mut errors_mm);
+                            smoother.to_errors(&errors_mm)?
+                        }
+                    };
+                    Ok(sectors.sums(&residuals_mm))
+                })
+                .collect::<Result<_>>()?;
+            let mean = |kind: usize| {
+                let of_kind = sums[kind * draws..(kind + 1) * draws].iter().map(|sums| sectors.means(sums));
+                let total = of_kind.reduce(|a, b| a.iter().zip(b).map(|(a, b)| a + b).collect());
+                total.unwrap_or_default().iter().map(|m| m / draws as f64).collect::<Vec<f64>>()
+            };
+            Ok((0..kinds.len()).map(|kind| scaled(&mean(kind))).collect())
+        };
+        let mut kinds = vec![Process::Ray, Process::Shift { correlation_s: 0.0 }, Process::Wall];
+        let base = kinds.len();
+        let mut of_kinds = columns(&kinds, BASE_DRAWS, 0)?;
+        let explain = |of_kinds: &[Vec<f64>], chosen: &[usize]| {
+            let columns: Vec<&[f64]> = chosen.iter().map(|&k| &of_kinds[k][..]).collect();
+            nonnegative_least_squares(&columns, &target)
+        };
+        let mut chosen: Vec<usize> = (0..base).collect();
+        let (_, mut misfit) = explain(&of_kinds, &chosen);
+        if misfit > POOR_FIT * target.len() as f64 {
+            let others = self.other_kinds();
+            of_kinds.extend(columns(&others, OTHER_DRAWS, base)?);
+            kinds.extend(others);
+            loop {
+                let with = |k: usize| {
+                    let more: Vec<usize> = chosen.iter().copied().chain([k]).collect();
+                    (explain(&of_kinds, &more).1, k)
+                };
+                let left = (0..kinds.len()).filter(|k| !chosen.contains(k));
+                let Some((better, k)) = left.map(with).min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+                if better > (1.0 - MIN_GAIN_SHARE) * misfit - MIN_GAIN {
+                    break;
+                }
+                (misfit, _) = (better, chosen.push(k));
+            }
+        }
+        let mut alternatives = vec![chosen.clone()];
+        for place in base..chosen.len() {
+            for k in (base..kinds.len()).filter(|k| !chosen.contains(k)) {
+                let mut other = chosen.clone();
+                other[place] = k;
+                if explain(&of_kinds, &other).1 <= (1.0 + SAME_SHARE) * misfit + SAME {
+                    alternatives.push(other);
+                }
+            }
+        }
+        let levels = |chosen: &Vec<usize>| {
+            let (levels, _) = explain(&of_kinds, chosen);
+            chosen.iter().map(|&k| kinds[k]).zip(levels).filter(|(_, level)| *level > 0.0).collect()
+        };
+        Ok(alternatives.iter().map(levels).collect())
+    }
+
+    /// A draw of all errors but the wall's bends.
+    fn drawn(&self, levels: &Levels, draw: usize) -> Vec<f64> {
+        let mut errors_mm = vec![0.0; self.seen.len()];
+        for (stream, (process, variance_mm2)) in levels.iter().enumerate() {
+            let rng = &mut random(100 + draw, stream);
+            add_draw(*process, variance_mm2.sqrt(), rng, &self.seen, &self.times_s, &mut errors_mm);
+        }
+        errors_mm
+    }
+
+    fn standard_errors_mm(
+        &self,
+        estimate: &Estimate,
+        roughness: f64,
+        echoes: &[Echo],
+        wall: &Wall,
+    ) -> Result<Vec<f64>> {
+        let linearised = linearised(self.grid, echoes, wall);
+        let smoother = Smoother::of(self.grid, &linearised, wall.smoothness_mm2, roughness)?;
+        let Estimate { descriptions, of_nodes, of_rings } = estimate;
+        let fields: Vec<[Vec<f64>; 2]> = (0..VARIANCE_DRAWS)
+            .into_par_iter()
+            .map(|draw| {
+                let draw = ROUGHNESS_DRAWS + draw;
+                let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
+                Ok([smoother.wall(&errors_mm)?, smoother.to_bends(draw)?.errors_mm])
+            })
+            .collect::<Result<_>>()?;
+        let reach_mm = VARIANCE_REACHES * self.reach_mm(echoes, wall);
+        let noise = self.averaged(&mean_squares(fields.iter().map(|[noise, _]| noise)), reach_mm);
+        let bends = self.averaged(&mean_squares(fields.iter().map(|[_, bends]| bends)), reach_mm);
+        let nodes = self.grid.nodes;
+        Ok((0..noise.len())
+            .map(|n| (noise[n] + bends[n] * of_nodes[n].max(MIN_NODE) / of_rings[n / nodes]).sqrt())
+            .collect())
+    }
+
+    /// The reach of an echo, mm: `(λ/ρ)^¼` for ρ echoes per area of supported wall.
+    fn reach_mm(&self, echoes: &[Echo], wall: &Wall) -> f64 {
+        let on_wall: f64 = echoes.iter().filter(|e| is_inlier(e, wall.noise_mm)).map(|e| e.weight).sum();
+        let supported = self.supported.iter().filter(|s| **s).count().max(1);
+        (wall.smoothness_mm2 * supported as f64 * self.grid.cell_mm2() / on_wall.max(1.0)).powf(0.25)
+    }
+
+    /// Means about every node, of supported nodes if it is one itself, with Gaussian weights of a standard deviation.
+    fn averaged(&self, values: &[f64], sd_mm: f64) -> Vec<f64> {
+        let weights: Vec<f64> = self.supported.iter().map(|&s| f64::from(u8::from(s))).collect();
+        let of_supported: Vec<f64> = values.iter().zip(&weights).map(|(v, w)| v * w).collect();
+        let smooth = |values: &[f64]| self.smoothed(values, sd_mm);
+        let (all, of_supported, weights) = (smooth(values), smooth(&of_supported), smooth(&weights));
+        let mean = |n: usize| if self.supported[n] { of_supported[n] / weights[n] } else { all[n] };
+        (0..values.len()).map(mean).collect()
+    }
+
+    /// Sums with Gaussian weights of a standard deviation, which add up to 1 where rings do not end.
+    fn smoothed(&self, values: &[f64], sd_mm: f64) -> Vec<f64> {
+        let WallGrid { rings, nodes, step_mm, arc_mm } = *self.grid;
+        let (along, around) = (gaussian(sd_mm / step_mm, rings), gaussian(sd_mm / arc_mm, nodes / 2));
+        let mut columns = vec![0.0; values.len()];
+        columns.par_chunks_exact_mut(nodes).enumerate().for_each(|(k, out)| {
+            for (offset, weight) in along.iter().enumerate() {
+                for other in both_sides(k, offset, rings) {
+                    let ring = &values[other * nodes..(other + 1) * nodes];
+                    out.iter_mut().zip(ring).for_each(|(out, value)| *out += weight * value);
+                }
+            }
+        });
+        let mut smoothed = vec![0.0; values.len()];
+        smoothed.par_chunks_exact_mut(nodes).zip(columns.par_chunks_exact(nodes)).for_each(|(out, ring)| {
+            for (offset, weight) in around.iter().enumerate() {
+                for (j, out) in out.iter_mut().enumerate() {
+                    let after = ring[(j + offset) % nodes];
+                    let before = ring[(j + nodes - offset) % nodes];
+                    *out += weight * if offset == 0 { after } else { after + before };
+                }
+            }
+        });
+        smoothed
+    }
+
+    /// Means over the supported nodes of the rings about each one.
+    fn averaged_rings(&self, values: &[f64], sd_mm: f64) -> Vec<f64> {
+        let WallGrid { rings, nodes, step_mm, .. } = *self.grid;
+        let sums: Vec<[f64; 2]> = (0..rings)
+            .map(|k| {
+                let nodes = (k * nodes..(k + 1) * nodes).filter(|&n| self.supported[n]);
+                nodes.fold([0.0; 2], |[sum, count], n| [sum + values[n], count + 1.0])
+            })
+            .collect();
+        let weights = gaussian(sd_mm / step_mm, rings);
+        (0..rings)
+            .map(|k| {
+                let mut about = [0.0; 2];
+                for (offset, weight) in weights.iter().enumerate() {
+                    for other in both_sides(k, offset, rings) {
+                        about.iter_mut().zip(sums[other]).for_each(|(a, b)| *a += weight * b);
+                    }
+                }
+                about[0] / about[1]
+            })
+            .collect()
+    }
+}
+
+/// The places at a distance from `k` on either side, of so many.
+fn both_sides(k: usize, offset: usize, count: usize) -> impl Iterator<Item = usize> {
+    let before = if offset > 0 { k.checked_sub(offset) } else { None };
+    let after = Some(k + offset).filter(|&other| other < count);
+    before.into_iter().chain(after)
+}
+
+/// Weights of a Gaussian at 0, 1, … steps, up to three standard deviations or `most` steps; those of both sides add up to 1.
+fn gaussian(sd: f64, most: usize) -> Vec<f64> {
+    let reach = ((3.0 * sd).ceil() as usize).min(most.saturating_sub(1));
+    let weight = |k: usize| (-0.5 * (k as f64 / sd).powi(2)).exp();
+    let total: f64 = (0..=reach).map(|k| if k == 0 { 1.0 } else { 2.0 * weight(k) }).sum();
+    (0..=reach).map(|k| if k == 0 { 1.0 / total } else { weight(k) / total }).collect()
+}
+
+/// Mean squares of fields, node by node.
+fn mean_squares<'a>(fields: impl Iterator<Item = &'a Vec<f64>>) -> Vec<f64> {
+    let (mut sums, mut count) = (Vec::new(), 0.0);
+    for field in fields {
+        sums.resize(field.len(), 0.0);
+        sums.iter_mut().zip(field).for_each(|(sum, x)| *sum += x * x);
+        count += 1.0;
+    }
+    sums.iter_mut().for_each(|sum| *sum /= count);
+    sums
+}
+
+impl RecordingErrors {
+    fn of(descriptions: &[Levels], roughness: f64) -> Self {
+        let mut errors = Self { roughness, descriptions: descriptions.len(), ..Self::default() };
+        for (process, variance_mm2) in descriptions.first().into_iter().flatten() {
+            let sd_mm = variance_mm2.sqrt();
+            match *process {
+                Process::Ray => errors.rays_mm = sd_mm,
+                Process::Shift { correlation_s } => {
+                    errors.shifts.push(AlikeErrors { sd_mm, width_deg: None, correlation_s });
+                }
+                Process::Contour { width_rad, correlation_s } => {
+                    let width_deg = Some(width_rad.to_degrees());
+                    errors.contours.push(AlikeErrors { sd_mm, width_deg, correlation_s });
+                }
+                Process::Wall => (),
+            }
+        }
+        errors
+    }
+}

@@ -1,0 +1,127 @@
+//! Kinds of errors that the echoes of a recording may have, and random draws of them.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// A kind of error, of unit standard deviation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Process {
+    /// Of every echo for itself.
+    Ray,
+    /// A shift of the whole frame. It is forgotten over `correlation_s`: in successive frames the correlation is
+    /// `exp(-Δt/correlation_s)`, and there is none where it is 0.
+    Shift { correlation_s: f64 },
+    /// Of the contour, alike over a width about the lumen (the standard deviation of a Gaussian of that is `width_rad / √2`)
+    /// and forgotten over `correlation_s` as above.
+    Contour { width_rad: f64, correlation_s: f64 },
+    /// Bends of the wall, as its prior expects them, which the fit smooths away.
+    Wall,
+}
+
+/// Seed of all draws, so that equal recordings have equal standard errors.
+const SEED: u64 = 0x1d3a_5e01;
+/// Harmonics of a contour's errors are left out where they have less than this amplitude.
+const MIN_AMPLITUDE: f64 = 0.01;
+
+/// Random numbers of a draw; `stream` tells apart what must be independent.
+pub(super) fn random(draw: usize, stream: usize) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    rng.set_stream((draw * 64 + stream) as u64);
+    rng
+}
+
+pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    StandardNormal.sample(rng)
+}
+
+/// Where and when an echo was seen: its angle about the axis, and its frame, counted among those with echoes.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Seen {
+    pub theta_rad: f64,
+    pub frame: u32,
+}
+
+/// Adds a draw of a process, times `sd_mm`, to the errors of the echoes. `times_s` are those of the frames. The bends of a
+/// wall are drawn elsewhere: they are no errors of echoes.
+pub(super) fn add_draw(
+    process: Process,
+    sd_mm: f64,
+    rng: &mut ChaCha8Rng,
+    echoes: &[Seen],
+    times_s: &[f64],
+    errors_mm: &mut [f64],
+) {
+    match process {
+        Process::Ray => errors_mm.iter_mut().for_each(|error| *error += sd_mm * normal(rng)),
+        Process::Shift { correlation_s } => {
+            let series = [0; 2].map(|_| series(rng, times_s, correlation_s));
+            for (error, echo) in errors_mm.iter_mut().zip(echoes) {
+                let (sin, cos) = echo.theta_rad.sin_cos();
+                let frame = echo.frame as usize;
+                *error += sd_mm * (cos * series[0][frame] + sin * series[1][frame]);
+            }
+        }
+        Process::Contour { width_rad, correlation_s } => {
+            let amplitude = |m: usize| (-0.5 * (0.5 * m as f64 * width_rad).powi(2)).exp();
+            let amplitudes: Vec<f64> = (0..).map(amplitude).take_while(|a| *a > MIN_AMPLITUDE).collect();
+            let scale = sd_mm / amplitudes.iter().map(|a| a * a).sum::<f64>().sqrt();
+            for (m, amplitude) in amplitudes.iter().enumerate() {
+                let series = [0; 2].map(|_| series(rng, times_s, correlation_s));
+                for (error, echo) in errors_mm.iter_mut().zip(echoes) {
+                    let (sin, cos) = (m as f64 * echo.theta_rad).sin_cos();
+                    let frame = echo.frame as usize;
+                    *error += scale * amplitude * (cos * series[0][frame] + sin * series[1][frame]);
+                }
+            }
+        }
+        Process::Wall => (),
+    }
+}
+
+/// A stationary series of unit variance with the correlation `exp(-Δt/correlation_s)`.
+fn series(rng: &mut ChaCha8Rng, times_s: &[f64], correlation_s: f64) -> Vec<f64> {
+    let mut before = None;
+    let mut value = 0.0;
+    times_s
+        .iter()
+        .map(|&time_s| {
+            let kept = match before {
+                Some(before) if correlation_s > 0.0 => {
+                    (-f64::max(time_s - before, 0.0) / correlation_s).exp()
+                }
+                _ => 0.0,
+            };
+            before = Some(time_s);
+            value = kept * value + (1.0 - kept * kept).sqrt() * normal(rng);
+            value
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_series_forgets_over_its_correlation_time() {
+        let times_s: Vec<f64> = (0..200_000).map(|k| 0.1 * f64::from(k)).collect();
+        for correlation_s in [0.0, 0.2, 1.0] {
+            let series = series(&mut random(0, 3), &times_s, correlation_s);
+            let covariance = |lag: usize| {
+                let products = series.iter().zip(&series[lag..]).map(|(a, b)| a * b);
+                products.sum::<f64>() / (series.len() - lag) as f64
+            };
+            assert!((covariance(0) - 1.0).abs() < 0.05, "{correlation_s}");
+            for lag in [2, 10] {
+                let expected =
+                    if correlation_s > 0.0 { (-0.1 * lag as f64 / correlation_s).exp() } else { 0.0 };
+                assert!(
+                    (covariance(lag) - expected).abs() < 0.04,
+                    "{correlation_s} {lag}: {}",
+                    covariance(lag)
+                );
+            }
+        }
+    }
+}

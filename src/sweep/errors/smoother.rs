@@ -1,0 +1,139 @@
+//! The fit of a wall as a linear function of the echoes' values, with the weights of its last reweighting.
+
+use super::process::{normal, random};
+use crate::Result;
+use crate::numerics::robust::huber_weight;
+use crate::sweep::prepare::echo::Echo;
+use crate::sweep::prepare::grid::WallGrid;
+use crate::sweep::wall::equations::Equations;
+use crate::sweep::wall::fit::Wall;
+use crate::sweep::wall::operator::Operator;
+use crate::sweep::wall::residual::gate;
+use crate::sweep::wall::solver::Solver;
+use rayon::prelude::*;
+
+/// The share of the residual that may remain: draws need not be exact.
+const TOLERANCE: f64 = 3e-3;
+const MAX_STEPS: usize = 30;
+/// Stream of the random numbers of a wall's bends.
+const BENDS: usize = 63;
+
+/// The part of an echo in the equations of the wall.
+#[derive(Clone, Copy)]
+pub(super) struct Term {
+    nodes: [u32; 3],
+    shares: [f32; 3],
+    weight: f64,
+    /// A residual for each millimetre of radius.
+    scale: f64,
+}
+
+impl Term {
+    fn at(&self, values: &[f64]) -> f64 {
+        self.nodes.iter().zip(self.shares).map(|(&n, share)| values[n as usize] * f64::from(share)).sum()
+    }
+}
+
+/// The echoes' parts in the equations of a wall, and the matrix of these.
+pub(super) fn linearised(grid: &WallGrid, echoes: &[Echo], wall: &Wall) -> (Vec<Term>, Operator) {
+    let model = wall.residual_model(grid);
+    let term = |echo: &Echo| {
+        let mut echo = *echo;
+        let (ring, node) = echo.projection();
+        let corners = grid.corners(ring, node);
+        let measured = model.measure(&mut echo, false);
+        let residual = echo.residual_mm.abs();
+        let is_on_wall = residual <= gate(wall.noise_mm, measured.wall_mm);
+        let robust = if is_on_wall { huber_weight(wall.noise_mm, residual) } else { 0.0 };
+        Term {
+            nodes: corners.nodes.map(|n| n as u32),
+            shares: corners.weights.map(|w| w as f32),
+            weight: robust * measured.weight * echo.weight,
+            scale: measured.weight.sqrt(),
+        }
+    };
+    let terms: Vec<Term> = echoes.par_iter().map(term).collect();
+    let mut equations = Equations::over(grid, 0..grid.rings);
+    for (echo, term) in echoes.iter().zip(&terms) {
+        let (ring, node) = echo.projection();
+        equations.add(&grid.corners(ring, node), term.weight, 0.0);
+    }
+    let operator = Operator::of(&equations, grid, wall.smoothness_mm2, &wall.local);
+    (terms, operator)
+}
+
+/// What the fit makes of errors of the echoes.
+pub(super) struct Smoother<'a> {
+    grid: &'a WallGrid,
+    terms: &'a [Term],
+    operator: &'a Operator,
+    solver: Solver<'a>,
+    /// √λ·τ: the noise that the smoothness stands for, mm.
+    noise_mm: f64,
+}
+
+/// An error of the wall at the nodes, mm, and the residuals of the echoes that come with it, mm.
+pub(super) struct Response {
+    pub errors_mm: Vec<f64>,
+    pub residuals_mm: Vec<f64>,
+}
+
+impl<'a> Smoother<'a> {
+    pub(super) fn of(
+        grid: &'a WallGrid,
+        (terms, operator): &'a (Vec<Term>, Operator),
+        smoothness_mm2: f64,
+        roughness: f64,
+    ) -> Result<Self> {
+        let noise_mm = smoothness_mm2.sqrt() * roughness;
+        Ok(Self { grid, terms, operator, solver: Solver::of(operator)?, noise_mm })
+    }
+
+    fn solve(&self, right: &[f64]) -> Result<Vec<f64>> {
+        let mut x = vec![0.0; right.len()];
+        self.solver.solve(right, &|_, _| (), TOLERANCE, MAX_STEPS, &mut x)?;
+        Ok(x)
+    }
+
+    /// The wall through values of the echoes in the form of residuals.
+    pub(super) fn wall(&self, values_mm: &[f64]) -> Result<Vec<f64>> {
+        let mut right = vec![0.0; self.grid.node_count()];
+        for (term, value) in self.terms.iter().zip(values_mm) {
+            let weighted = if term.weight > 0.0 { term.weight * value / term.scale } else { 0.0 };
+            for (node, share) in term.nodes.iter().zip(term.shares) {
+                right[*node as usize] += weighted * f64::from(share);
+            }
+        }
+        self.solve(&right)
+    }
+
+    /// The response to errors of the echoes.
+    pub(super) fn to_errors(&self, values_mm: &[f64]) -> Result<Response> {
+        let errors_mm = self.wall(values_mm)?;
+        let residual = |(term, value): (&Term, &f64)| value - term.scale * term.at(&errors_mm);
+        let residuals_mm = self.terms.iter().zip(values_mm).map(residual).collect();
+        Ok(Response { errors_mm, residuals_mm })
+    }
+
+    /// The response to the bends of a wall that is as rough as the smoothing assumes.
+    ///
+    /// With `λ ∫ bending² = Σ w (c·r)²`, such a wall has `√w c·r = √λ τ z` with independent normal z, and the fit misses
+    /// `A⁻¹ Σ w c (c·r)` of it.
+    pub(super) fn to_bends(&self, draw: usize) -> Result<Response> {
+        let mut right = vec![0.0; self.grid.node_count()];
+        let mut rng = random(draw, BENDS);
+        for k in 0..self.grid.rings {
+            for j in 0..self.grid.nodes {
+                for (weight, nodes) in self.operator.squares(k, j) {
+                    let size = self.noise_mm * weight.sqrt() * normal(&mut rng);
+                    for (node, coefficient) in nodes {
+                        right[node] += size * coefficient;
+                    }
+                }
+            }
+        }
+        let errors_mm = self.solve(&right)?;
+        let residuals_mm = self.terms.iter().map(|term| term.scale * term.at(&errors_mm)).collect();
+        Ok(Response { errors_mm, residuals_mm })
+    }
+}
