@@ -93,6 +93,12 @@ pub(super) fn print_screening(screening: &Screening) {
     for no_echo in &screening.no_echo {
         println!("no echo    {no_echo}");
     }
+    if let Some(ring_down) = screening.ring_down {
+        println!("ring-down  {ring_down}");
+    }
+    if screening.sorted_frames > 0 {
+        println!("order      points of {} contours sorted about their centres", screening.sorted_frames);
+    }
     let left_out = &screening.left_out;
     if !left_out.is_empty() {
         println!(

@@ -148,10 +148,13 @@ fn summary(page: &mut Page, content: &PageContent) {
         ));
         page.table(&left_out_table(&screening.left_out));
     }
-    if !screening.suspicions.is_empty() || !screening.no_echo.is_empty() {
+    if !screening.suspicions.is_empty() || !screening.no_echo.is_empty() || screening.ring_down.is_some() {
         page.heading("Suspicious");
         for no_echo in &screening.no_echo {
             page.paragraph(&format!("{no_echo}."));
+        }
+        if let Some(ring_down) = screening.ring_down {
+            page.paragraph(&format!("{ring_down}."));
         }
         for finding in &screening.suspicions {
             page.listing(&finding.to_string());

@@ -318,3 +318,82 @@ fn small_and_odd_recordings_give_finite_surfaces_or_errors() {
         }
     }
 }
+
+/// A tube seen with errors that neighbouring echoes share: standard deviation of what every ray has for itself, of the shift
+/// of each frame, and of a contour's error, with the time over which shifts and contour errors are forgotten.
+fn with_shared_errors(
+    ray_mm: f64,
+    shift_mm: f64,
+    contour_mm: f64,
+    correlation_s: f64,
+    seed: u64,
+) -> Recording {
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+    let settings =
+        simulate::SimulationSettings::default().with_insertion(Insertion::steady()).with_noise(Noise::none());
+    let mut recording = simulated("arch", &settings).recording;
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+    let kept = if correlation_s > 0.0 { (-1.0 / 12.0 / correlation_s).exp() } else { 0.0 };
+    let mut state = [0.0; 13];
+    for (k, frame) in recording.frames.iter_mut().enumerate() {
+        for value in &mut state {
+            *value = kept * *value + if k == 0 { 1.0 } else { (1.0 - kept * kept).sqrt() } * normal();
+        }
+        frame.world_from_sensor.translation_mm += DVec3::from_slice(&state[..3]) * shift_mm;
+        for p in &mut frame.contour_mm {
+            let direction = p.normalize();
+            let theta_rad = direction.to_angle();
+            // Harmonics 1 to 5: alike over about 30°.
+            let shared: f64 = (1..=5)
+                .map(|m| {
+                    let (sin, cos) = (f64::from(m) * theta_rad).sin_cos();
+                    cos * state[2 * m as usize + 1] + sin * state[2 * m as usize + 2]
+                })
+                .sum();
+            *p += direction * (shared * contour_mm / 5.0_f64.sqrt());
+            *p += DVec2::new(normal(), normal()) * ray_mm;
+        }
+    }
+    recording
+}
+
+/// Errors that echoes share are found, and the wall lies within two standard errors where it should.
+#[test]
+fn standard_errors_hold_where_echoes_share_their_errors() {
+    let truth =
+        simulated("arch", &simulate::SimulationSettings::default().with_insertion(Insertion::steady()));
+    let locator = Locator::new(truth.vessel.surface()).unwrap();
+    for (ray_mm, shift_mm, contour_mm, correlation_s, within) in [
+        (0.6, 0.2, 0.0, 0.0, 0.90..=1.0),
+        (0.6, 1.0, 0.0, 0.0, 0.85..=0.99),
+        (0.3, 0.2, 0.6, 0.0, 0.88..=1.0),
+        (0.3, 0.1, 0.5, 0.5, 0.80..=1.0),
+    ] {
+        let recording = with_shared_errors(ray_mm, shift_mm, contour_mm, correlation_s, 3);
+        let sweep = swept(&recording);
+        let errors = sweep.report.errors.as_ref().unwrap();
+        let case = format!("{ray_mm} {shift_mm} {contour_mm} {correlation_s}: {errors:?}");
+        let contour = errors.contours.iter().map(|c| c.sd_mm * c.sd_mm).sum::<f64>().sqrt();
+        let (found, expected) = (errors.rays_mm.hypot(contour), f64::hypot(ray_mm, contour_mm));
+        assert!((found / expected - 1.0).abs() < 0.25, "{case}");
+        let shift = errors.shifts.iter().map(|s| s.sd_mm * s.sd_mm).sum::<f64>().sqrt();
+        if shift_mm == 1.0 {
+            assert!((shift / shift_mm - 1.0).abs() < 0.2, "{case}");
+        }
+        assert_eq!(contour_mm > 0.0, !errors.contours.is_empty(), "{case}");
+        let surface = sweep.surface(false);
+        let said_mm = surface.array("standard_error_mm").unwrap();
+        let found = locator.closest_all(&surface.nodes_mm);
+        let inside: Vec<bool> = found
+            .iter()
+            .zip(said_mm)
+            .filter(|(c, _)| !c.on_rim)
+            .map(|(c, said_mm)| c.distance_mm <= 2.0 * said_mm)
+            .collect();
+        let share = inside.iter().filter(|i| **i).count() as f64 / inside.len() as f64;
+        assert!(within.contains(&share), "{share} within two of them; {case}");
+        println!("{share:.3} {case}");
+    }
+}

@@ -2,7 +2,7 @@
 
 use super::no_echo::{self, Counts};
 use super::path::{JUMP_PRICE, LOST_STEPS, Limits, Place, is_lost_value, lost_frame, step_mm};
-use super::{LeftOut, NoEcho, Reason, Screening, probe, repeats};
+use super::{LeftOut, NoEcho, Reason, Screening, artefacts, probe, repeats};
 use crate::numerics::robust::median;
 use crate::recording::Frame;
 use glam::{DVec2, DVec3};
@@ -146,6 +146,8 @@ impl LiveScreening {
     fn without_no_echo(&mut self, frame: &Frame) -> Frame {
         self.counts.add(frame);
         self.no_echo = self.counts.found();
+        let sorted = artefacts::sorted(frame).map(|contour_mm| frame.clone().with_contour_mm(contour_mm));
+        let frame = sorted.as_ref().unwrap_or(frame);
         let mut frame = frame.clone();
         for p in &mut frame.contour_mm {
             if no_echo::is_no_echo(&self.no_echo, *p) {

@@ -1,5 +1,6 @@
 //! Which frames of a recording are fit to be used: they are judged before they become anatomy.
 
+mod artefacts;
 mod hints;
 mod live;
 mod no_echo;
@@ -8,6 +9,7 @@ mod probe;
 mod repeats;
 mod suspicions;
 
+pub use artefacts::RingDown;
 pub(crate) use live::{Judged, LiveScreening};
 pub use no_echo::NoEcho;
 
@@ -51,6 +53,10 @@ pub struct Screening {
     pub left_out: Vec<LeftOut>,
     /// Values of contour points that are taken for missing echoes.
     pub no_echo: Vec<NoEcho>,
+    /// Frames whose contours had no order: their points were sorted about their centre.
+    pub sorted_frames: usize,
+    /// Echoes of the catheter itself, which are taken for missing ones.
+    pub ring_down: Option<RingDown>,
     /// What may be wrong with the recording as a whole, or with frames that are used all the same.
     pub suspicions: Vec<Finding>,
 }
@@ -173,6 +179,8 @@ impl Screening {
             frames: recording.frames.len(),
             left_out: Vec::new(),
             no_echo: Vec::new(),
+            sorted_frames: 0,
+            ring_down: None,
             suspicions: suspicions::suspicions(recording, &[]),
         }
     }
@@ -180,7 +188,9 @@ impl Screening {
     /// Screens a recording.
     pub fn of(recording: &Recording) -> Self {
         let no_echo = no_echo::no_echo(recording);
-        let recording = &*without_no_echo(recording, &no_echo);
+        let (recording, sorted_frames) = with_order(without_no_echo(recording, &no_echo));
+        let ring_down = RingDown::of(&recording.frames);
+        let recording = &*without_ring_down(recording, ring_down);
         let frames = &recording.frames;
         let mut left_out = Vec::new();
         let mut sound = Vec::with_capacity(frames.len());
@@ -212,7 +222,7 @@ impl Screening {
         left_out.sort_by_key(|one| one.place);
         let suspicions = suspicions::suspicions(recording, &left_out);
         left_out.iter_mut().for_each(|one| one.name(recording));
-        Self { frames: frames.len(), left_out, no_echo, suspicions }
+        Self { frames: frames.len(), left_out, no_echo, sorted_frames, ring_down, suspicions }
     }
 
     /// The recording with the contours of the frames that are left out emptied, and with their poses taken from the
@@ -233,7 +243,11 @@ impl Screening {
                 expected,
             });
         }
-        let recording = without_no_echo(recording, &self.no_echo);
+        let mut recording = without_no_echo(recording, &self.no_echo);
+        if self.sorted_frames > 0 {
+            recording = with_order(recording).0;
+        }
+        let recording = without_ring_down(recording, self.ring_down);
         if self.left_out.is_empty() {
             return Ok(recording);
         }
@@ -279,6 +293,28 @@ fn nearest_kept(is_kept: &[bool]) -> Vec<Option<usize>> {
         }
     }
     nearest
+}
+
+/// The recording with the points of contours without an order sorted, and the number of these contours.
+fn with_order(recording: Cow<'_, Recording>) -> (Cow<'_, Recording>, usize) {
+    if recording.frames.iter().all(|frame| artefacts::sorted(frame).is_none()) {
+        return (recording, 0);
+    }
+    let mut recording = recording.into_owned();
+    let count = artefacts::sort(&mut recording);
+    (Cow::Owned(recording), count)
+}
+
+/// The recording with NaN for the echoes of the catheter itself.
+fn without_ring_down(recording: Cow<'_, Recording>, ring_down: Option<RingDown>) -> Cow<'_, Recording> {
+    let Some(ring_down) = ring_down else { return recording };
+    let mut recording = recording.into_owned();
+    for frame in &mut recording.frames {
+        for place in ring_down.places(frame) {
+            frame.contour_mm[place] = DVec2::NAN;
+        }
+    }
+    Cow::Owned(recording)
 }
 
 /// The recording with NaN for the points that stand for a missing echo.

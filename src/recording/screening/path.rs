@@ -31,8 +31,9 @@ pub(super) struct Limits {
 const JUMP_STEPS: f64 = 10.0;
 /// … and than this share of the contours' median radius.
 const JUMP_RADII: f64 = 0.5;
-/// A shape step is a jump where it is larger than [`JUMP_STEPS`] usual ones and than this: 42 % of the radius.
-const JUMP_SHAPE: f64 = 0.35;
+/// A shape step is a jump where it is larger than this many usual ones and than this: 28 % of the radius.
+const SHAPE_JUMP_STEPS: f64 = 6.0;
+const JUMP_SHAPE: f64 = 0.25;
 /// Contours that lie farther apart than this share of the median radius may differ as they like.
 const SHAPE_WITHIN_RADII: f64 = 0.5;
 /// The usual step is this quantile of the frames' steps: as many may be rests, and the others jumps …
@@ -129,7 +130,7 @@ impl Limits {
             usual_mm,
             jump_mm: (JUMP_STEPS * usual_mm).max(JUMP_RADII * radius_mm),
             usual_shape,
-            jump_shape: (JUMP_STEPS * usual_shape).max(JUMP_SHAPE),
+            jump_shape: (SHAPE_JUMP_STEPS * usual_shape).max(JUMP_SHAPE),
         }
     }
 
