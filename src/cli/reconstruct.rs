@@ -176,6 +176,9 @@ fn print_sweep(report: &sweep::SweepReport) {
         "noise      {:.3} mm across the wall, {:.3} mm along it; smoothed by {:.3} mm²",
         report.noise_mm, report.tangential_noise_mm, report.smoothness_mm2
     );
+    if let Some(errors) = &report.errors {
+        print_errors(errors);
+    }
     println!(
         "vessel     {} rings, {} nodes, {} of them supported; {} iterations, {} solver steps",
         report.rings, report.nodes, report.supported, report.iterations, report.solver_steps
@@ -195,10 +198,36 @@ fn print_sweep(report: &sweep::SweepReport) {
     if report.tracker.is_some() {
         print!("{:.1} ms correcting poses, ", seconds.tracker * 1e3);
     }
-    println!("{:.1} ms weighing support", seconds.support * 1e3);
+    println!(
+        "{:.1} ms estimating errors and fitting again, {:.1} ms weighing support",
+        seconds.errors * 1e3,
+        seconds.support * 1e3
+    );
 }
 
 /// Errors of the tracker.
+fn print_errors(errors: &sweep::RecordingErrors) {
+    print!("errors     {:.3} mm of each echo for itself", errors.rays_mm);
+    for shift in &errors.shifts {
+        print!("; frames shifted by {:.3} mm an axis{}", shift.sd_mm, forgotten(shift.correlation_s));
+    }
+    for contour in &errors.contours {
+        let width_deg = contour.width_deg.unwrap_or(0.0);
+        print!(
+            "; contours off by {:.3} mm over {width_deg:.0}°{}",
+            contour.sd_mm,
+            forgotten(contour.correlation_s)
+        );
+    }
+    println!();
+    println!("           the wall is as rough as {:.3}, measured as --roughness is", errors.roughness);
+}
+
+/// How long errors stay alike.
+fn forgotten(correlation_s: f64) -> String {
+    if correlation_s > 0.0 { format!(", alike for {correlation_s:.2} s") } else { String::new() }
+}
+
 fn print_tracker(tracker: &sweep::Tracker) {
     let sweep::Tracker { noise_mm, shift_mm, turn_deg, .. } = tracker;
     print!("tracker    noise of {noise_mm:.3} mm an axis; {shift_mm:.3} mm and {turn_deg:.3}° ");

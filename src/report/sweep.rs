@@ -4,16 +4,21 @@ use super::page::Page;
 use super::plot::{Line, Mark, Room, lines};
 use super::rows::{engine_row, facts, share};
 use crate::Result;
-use crate::sweep::{Sweep, SweepReport};
+use crate::sweep::{AlikeErrors, Sweep, SweepReport};
 
 pub(super) fn summary_rows(report: &SweepReport) -> Vec<(&'static str, String)> {
     let seconds = &report.seconds;
-    let milliseconds = (seconds.axis + seconds.place + seconds.fit + seconds.support) * 1e3;
+    let milliseconds = (seconds.axis + seconds.place + seconds.fit + seconds.errors + seconds.support) * 1e3;
     vec![
         ("method", "sweep".into()),
         ("vessel", format!("{:.0} mm, {} rings, {} nodes", report.length_mm, report.rings, report.nodes)),
         ("engine", engine_row(&report.engine, report.threads)),
-        ("time", format!("{milliseconds:.0} ms: axis, placing echoes, fitting, computing support")),
+        (
+            "time",
+            format!(
+                "{milliseconds:.0} ms: axis, placing echoes, fitting, estimating errors, computing support"
+            ),
+        ),
     ]
 }
 
@@ -63,18 +68,36 @@ pub(super) fn coverage(page: &mut Page, sweep: &Sweep) -> Result<()> {
     Ok(())
 }
 
+/// How long errors stay alike.
+fn alike(errors: &AlikeErrors) -> String {
+    if errors.correlation_s > 0.0 { format!(", for {:.2} s", errors.correlation_s) } else { String::new() }
+}
+
 pub(super) fn noise(page: &mut Page, sweep: &Sweep) -> Result<()> {
     let Sweep { report, support, .. } = sweep;
     page.heading("Noise");
     let echoes = report.echoes as u64;
-    page.table(&facts(vec![
+    let mut rows = vec![
         ("noise across the wall (standard deviation)", format!("{:.3} mm", report.noise_mm)),
         ("noise along the wall", format!("{:.3} mm", report.tangential_noise_mm)),
         ("rays without an echo", share(report.missing as u64, echoes + report.missing as u64)),
         ("echoes off the wall", share(report.off_wall as u64, echoes)),
         ("echoes beyond the ends", share(report.beyond_ends as u64, echoes)),
         ("frames left out", share(report.folded_frames.len() as u64, report.frames as u64)),
-    ]));
+    ];
+    if let Some(errors) = &report.errors {
+        rows.push(("errors of each echo for itself", format!("{:.3} mm", errors.rays_mm)));
+        for shift in &errors.shifts {
+            rows.push(("shifts of whole frames", format!("{:.3} mm an axis{}", shift.sd_mm, alike(shift))));
+        }
+        for contour in &errors.contours {
+            let width_deg = contour.width_deg.unwrap_or(0.0);
+            let value = format!("{:.3} mm, alike over {width_deg:.0}°{}", contour.sd_mm, alike(contour));
+            rows.push(("errors of the contours", value));
+        }
+        rows.push(("roughness of the wall", format!("{:.3}", errors.roughness)));
+    }
+    page.table(&facts(rows));
     let of_supported = |values: &[f64], ring: std::ops::Range<usize>| {
         mean(ring.filter(|&n| support.supported[n]).map(|n| values[n]))
     };
