@@ -90,7 +90,7 @@ impl Support {
             tally.add(node, on_wall, echo.weight, squares_mm2, echo.frame);
         }
         let density = median(&mut tally.own().filter(|&n| n > 0.0).collect::<Vec<_>>()) / grid.cell_mm2();
-        let statistics = tally.statistics(grid, density, wall.smoothness_mm2);
+        let statistics = tally.statistics(grid, density, wall.smoothness_mm2, 0.0);
         let mut errors: Vec<f64> =
             statistics.standard_error_mm.iter().copied().filter(|e| e.is_finite()).collect();
         let max_mm = max_error_mm(median(&mut errors), grid);
@@ -184,8 +184,15 @@ impl Tally {
         self.sums.iter().map(|sums| sums[0])
     }
 
-    /// Statistics of every node, where the median density is `density` echoes per mm².
-    pub(super) fn statistics(&self, grid: &WallGrid, density: f64, smoothness_mm2: f64) -> NodeStatistics {
+    /// Statistics of every node, where the median density is `density` echoes per mm². In standard errors echoes count with
+    /// a noise of `least_noise_mm` at least.
+    pub(super) fn statistics(
+        &self,
+        grid: &WallGrid,
+        density: f64,
+        smoothness_mm2: f64,
+        least_noise_mm: f64,
+    ) -> NodeStatistics {
         let count = grid.node_count();
         // The bending term spreads the effect of an echo over ℓ = (λ/ρ)^¼, ρ being echoes per area.
         let reach_mm = (smoothness_mm2 / density.max(f64::MIN_POSITIVE)).powf(0.25);
@@ -205,7 +212,8 @@ impl Tally {
                 return f64::INFINITY;
             }
             // The variance of a thin plate on evenly spread points: σ² / (8 √(λρ)).
-            let plate = variance(node) / (8.0 * (smoothness_mm2 * about[node].sum / window_mm2).sqrt());
+            let noise_mm2 = variance(node).max(least_noise_mm * least_noise_mm);
+            let plate = noise_mm2 / (8.0 * (smoothness_mm2 * about[node].sum / window_mm2).sqrt());
             (plate * about[node].leverage()).sqrt()
         };
         NodeStatistics {

@@ -612,7 +612,8 @@ impl GrowingVessel {
         let nodes = self.grid.nodes;
         let grid = WallGrid { rings: supporting.len(), ..self.grid };
         let density = self.densities.value() / grid.cell_mm2();
-        let statistics = tally.statistics(&grid, density, smoothness);
+        // Echoes whose residuals are still to be evaluated have none, and are not certain for that.
+        let statistics = tally.statistics(&grid, density, smoothness, self.noise_mm());
         let max_mm = max_error_mm(self.errors.value(), &grid);
         let offset = supporting.start * nodes;
         let own: Vec<f64> = tally.own().collect();
