@@ -208,6 +208,17 @@ impl Error {
         }
     }
 
+    /// As [`in_file`](Self::in_file), for an error about one frame of a file, by the frame's number there.
+    #[must_use]
+    pub(crate) fn in_frame_of(self, path: &Path, number: usize) -> Self {
+        match self.in_file(path) {
+            Error::Input { path, field, found, expected, frame } => {
+                Error::Input { path, frame: frame.or(Some(number)), field, found, expected }
+            }
+            other => other,
+        }
+    }
+
     /// Says which file an error came from: turns [`Error::Frame`], [`Error::Recording`] and [`Error::Surface`] into
     /// [`Error::Input`] and leaves every other error as it is.
     #[must_use]

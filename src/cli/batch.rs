@@ -248,7 +248,8 @@ fn recordings(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in entries {
         let path = entry.map_err(|source| Error::read(folder, source))?.path();
-        if crate::output::ending(&path) == "mat" || path.join("poses.csv").exists() {
+        let is_file = matches!(crate::output::ending(&path).as_str(), "mat" | "mha" | "mhd" | "nrrd");
+        if is_file || path.join("poses.csv").exists() {
             found.push(path);
         }
     }
@@ -259,7 +260,12 @@ fn recordings(folder: &Path) -> Result<Vec<PathBuf>> {
         return Err(Error::input(folder, "recordings", found, "names that differ before their endings"));
     }
     match found.is_empty() {
-        true => Err(Error::input(folder, "recordings", "none", "a .mat file, or a folder with poses.csv")),
+        true => Err(Error::input(
+            folder,
+            "recordings",
+            "none",
+            "a .mat or sequence file, or a folder with poses.csv",
+        )),
         false => Ok(found),
     }
 }

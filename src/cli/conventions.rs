@@ -1,7 +1,9 @@
 use super::numbers;
 use crate::Result;
-use crate::recording::{Columns, Conventions, LengthUnit, QuaternionOrder, Recording, TimeUnit};
-use std::path::Path;
+use crate::recording::{
+    Conventions, LengthUnit, QuaternionOrder, ReadOptions, Recording, TimeUnit, Timestamps,
+};
+use std::path::{Path, PathBuf};
 
 /// The conventions of the program that wrote the recording, where they are not this one's. `lumenmesh info` names those
 /// that fit better.
@@ -35,17 +37,41 @@ pub(super) struct ConventionArguments {
     /// Names of the columns of contours.csv, where it has no line of them
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     contour_columns: Option<Vec<String>>,
+    /// Of a sequence file: the pose, by the name of a transform or of a chain of them and their inverses
+    /// [default: the only one, or ProbeToTracker]
+    #[arg(long, value_name = "NAME")]
+    transform: Option<String>,
+    /// Of a sequence file: which times count [default: filtered]
+    #[arg(long, value_enum, value_name = "KIND")]
+    timestamps: Option<Timestamps>,
+    /// Of a sequence file without contours: a CSV file of them, with columns frame, x_mm, y_mm
+    #[arg(long, value_name = "CSV")]
+    contours: Option<PathBuf>,
+    /// Of a sequence file: a PLUS configuration with more transforms
+    #[arg(long, value_name = "XML")]
+    plus_config: Option<PathBuf>,
 }
 
 impl ConventionArguments {
     /// Reads a recording, unchecked.
     pub(super) fn read(&self, path: &Path) -> Result<Recording> {
-        Recording::read_with_columns(path, &self.columns())
+        Recording::read_with(path, &self.reading())
     }
 
-    /// The columns of CSV files without a line of names.
-    pub(super) fn columns(&self) -> Columns {
-        Columns::default().with_poses(self.pose_columns.clone()).with_contours(self.contour_columns.clone())
+    /// What the recording's file leaves open.
+    pub(super) fn reading(&self) -> ReadOptions {
+        ReadOptions::default()
+            .with_pose_columns(self.pose_columns.clone())
+            .with_contour_columns(self.contour_columns.clone())
+            .with_transform(self.transform.clone())
+            .with_timestamps(self.timestamps.unwrap_or_default())
+            .with_contours(self.contours.clone())
+            .with_plus_config(self.plus_config.clone())
+    }
+
+    /// The files that are read beside the recording.
+    pub(super) fn inputs(&self) -> [Option<&Path>; 2] {
+        [self.contours.as_deref(), self.plus_config.as_deref()]
     }
 
     /// These on top of others.

@@ -1,8 +1,11 @@
-use super::refuse_inputs;
+use super::conventions::ConventionArguments;
+use super::{numbers, print_json, refuse_inputs};
 use crate::Result;
 use crate::cylinders::estimate::{CylinderEstimator, Upright};
 use crate::geometry::Pose;
-use crate::recording::{Pullback, PullbackOptions, PullbackPath, Summary};
+use crate::recording::{
+    Conventions, Curves, MaskOptions, Masks, Pullback, PullbackOptions, PullbackPath, Summary,
+};
 use glam::DVec2;
 use std::path::PathBuf;
 
@@ -16,6 +19,95 @@ pub(super) struct Arguments {
 #[derive(clap::Subcommand)]
 enum Source {
     Pullback(PullbackArguments),
+    Mask(MaskArguments),
+    Curves(CurveArguments),
+    Recording(RecordingArguments),
+}
+
+/// Import images of the lumen, one for each frame: outlines become the contours
+///
+/// The file is a sequence of PLUS, IGSIO or 3D Slicer with tracked masks or probabilities, such as the segmentation that a
+/// network sends. The contour is the outline of the region about the probe, at the threshold, between pixels; where the image's
+/// edge cuts the region, there are no echoes. ImageToProbe comes from the file, from a PLUS configuration, or from the size of
+/// a pixel. Frames without a pose are left out.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  lumenmesh import mask segmented.igs.mha -o pullback.mat --plus-config PlusDeviceSet.xml
+  lumenmesh import mask segmented.igs.mha -o pullback.igs.mha --pixel-size 0.05 --centre 255.5,255.5
+  lumenmesh import mask probability.igs.nrrd -o pullback.mat --pixel-size 0.05 --threshold 128 \\
+      --transform ProbeToReference")]
+struct MaskArguments {
+    /// The images: .igs.mha, .igs.mhd, .seq.mha, .igs.nrrd or .seq.nrrd
+    images: PathBuf,
+    /// Where to write the recording: a .mat or sequence file, or a folder of CSV files
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Pixels at or above it are lumen [default: half of the largest pixel]
+    #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
+    threshold: Option<f64>,
+    /// Width and height of a pixel in mm, or one number for both [default: of ImageToProbe]
+    #[arg(long, value_name = "MM[,MM]", value_parser = pixel_size)]
+    pixel_size: Option<[f64; 2]>,
+    /// The probe in the image, in pixels from the centre of the first [default: of ImageToProbe, or the middle]
+    #[arg(long, value_name = "X,Y", value_parser = numbers::<2>, allow_hyphen_values = true)]
+    centre: Option<[f64; 2]>,
+    /// Points of a contour
+    #[arg(long, value_name = "N", default_value_t = MaskOptions::default().points)]
+    points: usize,
+    /// Take the largest region where none contains the probe
+    #[arg(long)]
+    largest: bool,
+    /// Print JSON instead of text
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    reading: ConventionArguments,
+}
+
+/// Import closed curves that were drawn in 3D Slicer, one for each frame
+///
+/// Files are Slicer's markups (.mrk.json), in the order along the vessel; each closed curve becomes a frame. Poses are
+/// those of the planes that fit the curves, so that no tracker is needed.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  lumenmesh import curves lumen_*.mrk.json -o drawn.mat")]
+struct CurveArguments {
+    /// Markups with closed curves
+    #[arg(required = true)]
+    curves: Vec<PathBuf>,
+    /// Where to write the recording: a .mat or sequence file, or a folder of CSV files
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    json: bool,
+}
+
+/// Write a recording in another format, or in this project's conventions
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  lumenmesh import recording pullback.mat -o pullback.igs.mha        # for PLUS and 3D Slicer
+  lumenmesh import recording tracker.igs.mha -o pullback.mat --transform ProbeToReference --contours contours.csv
+  lumenmesh import recording recording/ -o pullback.mat --quaternion wxyz --units m")]
+struct RecordingArguments {
+    /// A .mat or sequence file, or a folder of CSV files
+    #[arg(value_name = "REC")]
+    recording: PathBuf,
+    /// Where to write it: a .mat or sequence file, or a folder of CSV files
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    conventions: ConventionArguments,
+}
+
+fn pixel_size(text: &str) -> Result<[f64; 2], String> {
+    match text.contains(',') {
+        true => numbers::<2>(text),
+        false => numbers::<1>(text).map(|[size]| [size, size]),
+    }
 }
 
 /// Import contours of an untracked pullback; poses are assumed along a line
@@ -31,7 +123,7 @@ enum Source {
 struct PullbackArguments {
     /// The contours
     contours: PathBuf,
-    /// Where to write the recording: a .mat file, or a folder of CSV files
+    /// Where to write the recording: a .mat or sequence file, or a folder of CSV files
     #[arg(short, long)]
     output: PathBuf,
     /// Points x,y,z in mm along the vessel that the catheter follows [default: straight along z]
@@ -63,6 +155,9 @@ impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         match self.source {
             Source::Pullback(arguments) => arguments.run(),
+            Source::Mask(arguments) => arguments.run(),
+            Source::Curves(arguments) => arguments.run(),
+            Source::Recording(arguments) => arguments.run(),
         }
     }
 }
@@ -105,6 +200,97 @@ impl PullbackArguments {
             )
         };
         print!("{text}");
+        Ok(())
+    }
+}
+
+impl MaskArguments {
+    fn run(self) -> Result<()> {
+        let inputs = [Some(&*self.images)].into_iter().chain(self.reading.inputs());
+        refuse_inputs([Some(&*self.output)], inputs)?;
+        let options = MaskOptions::default()
+            .with_threshold(self.threshold)
+            .with_points(self.points)
+            .with_pixel_mm(self.pixel_size)
+            .with_centre_px(self.centre)
+            .with_largest(self.largest);
+        let masks = Masks::read(&self.images, &self.reading.reading(), &options)?;
+        let recording = self.reading.over(Conventions::default()).apply(&masks.recording);
+        recording.write(&self.output)?;
+        let Masks { threshold, without_pose, empty, probe_outside, cut, without_image, tilted, .. } = masks;
+        let summary = Summary::of(&recording);
+        if self.json {
+            return print_json(&serde_json::json!({
+                "output": self.output.display().to_string(),
+                "threshold": threshold,
+                "without_pose": without_pose,
+                "without_image": without_image,
+                "empty": empty,
+                "probe_outside": probe_outside,
+                "cut_by_the_edge": cut,
+                "poses_of_the_image": tilted,
+                "summary": summary,
+            }));
+        }
+        println!("{}", self.output.display());
+        print!("{summary}");
+        println!("threshold       {threshold}");
+        for (count, what) in [
+            (without_pose, "without a pose, left out"),
+            (without_image, "without an image"),
+            (empty, "without a pixel at the threshold: no contour"),
+            (probe_outside, "with the probe in no region: no contour (--largest takes the largest one)"),
+            (cut, "cut by the image's edge, where they have no echoes"),
+        ] {
+            if count > 0 {
+                println!("frames          {count} {what}");
+            }
+        }
+        if tilted {
+            println!("poses           those of the image's plane, which is not the probe's");
+        }
+        Ok(())
+    }
+}
+
+impl CurveArguments {
+    fn run(self) -> Result<()> {
+        refuse_inputs([Some(&*self.output)], self.curves.iter().map(|path| Some(&**path)))?;
+        let curves = Curves::read(&self.curves)?;
+        curves.recording.write(&self.output)?;
+        let summary = Summary::of(&curves.recording);
+        if self.json {
+            return print_json(&serde_json::json!({
+                "output": self.output.display().to_string(),
+                "curves": curves.names,
+                "off_plane_mm": curves.off_plane_mm,
+                "summary": summary,
+            }));
+        }
+        println!("{}", self.output.display());
+        print!("{summary}");
+        println!("frame: curve, largest distance of a point from its plane");
+        for (k, (name, off)) in curves.names.iter().zip(&curves.off_plane_mm).enumerate() {
+            println!("  {k}: {name}, {off:.3} mm");
+        }
+        Ok(())
+    }
+}
+
+impl RecordingArguments {
+    fn run(self) -> Result<()> {
+        let inputs = [Some(&*self.recording)].into_iter().chain(self.conventions.inputs());
+        refuse_inputs([Some(&*self.output)], inputs)?;
+        let recording = self.conventions.read(&self.recording)?;
+        let recording = self.conventions.over(Conventions::default()).apply(&recording);
+        recording.write(&self.output)?;
+        let summary = Summary::of(&recording);
+        if self.json {
+            let output = self.output.display().to_string();
+            return print_json(&serde_json::json!({ "output": output, "summary": summary }));
+        }
+        println!("{}", self.output.display());
+        print!("{summary}");
         Ok(())
     }
 }

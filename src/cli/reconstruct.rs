@@ -24,7 +24,7 @@ use std::path::PathBuf;
   lumenmesh reconstruct recording/ -o vessel.ply --method cylinders --nodes 24 --levels 8
   lumenmesh reconstruct pullback.mat -o vessel.vtp --method cylinders --cylinders cylinders.csv")]
 pub(super) struct Arguments {
-    /// Recording: a MATLAB .mat file (v4 to v7.3) or a folder of CSV files
+    /// Recording: a MATLAB .mat file (v4 to v7.3), a folder of CSV files or a sequence file (.igs.mha, .igs.nrrd, …)
     #[arg(value_name = "REC")]
     recording: PathBuf,
     /// Mesh to write: .vtp, .ply, .stl or .obj
@@ -64,7 +64,7 @@ impl Arguments {
         surface::check_ending(&self.output)?;
         refuse_inputs(
             [Some(&*self.output), self.cylinders.as_deref()],
-            [Some(&*self.recording), self.settings.config()],
+            [Some(&*self.recording)].into_iter().chain(self.settings.inputs()),
         )?;
         let recording = self.settings.read(&self.recording)?;
         let lumen =

@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
   lumenmesh replay pullback.mat -o vessel.vtp --method sweep --half-life 30 --real-time
   lumenmesh replay pullback.mat -o vessel.vtp --json | jq .push_ms.p99")]
 pub(super) struct Arguments {
-    /// Recording: a MATLAB .mat file (v4 to v7.3) or a folder of CSV files
+    /// Recording: a MATLAB .mat file (v4 to v7.3), a folder of CSV files or a sequence file (.igs.mha, .igs.nrrd, …)
     #[arg(value_name = "REC")]
     recording: PathBuf,
     /// Mesh to write after the last frame: .vtp, .ply, .stl, .obj or .mat
@@ -112,7 +112,10 @@ impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         let settings = self.settings.settings()?;
         surface::check_ending(&self.output)?;
-        refuse_inputs([Some(&*self.output)], [Some(&*self.recording), self.settings.config()])?;
+        refuse_inputs(
+            [Some(&*self.output)],
+            [Some(&*self.recording)].into_iter().chain(self.settings.inputs()),
+        )?;
         let recording = self.settings.read(&self.recording)?;
         let mut live = Live::new(&settings)?;
         let frames = &recording.frames;

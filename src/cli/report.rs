@@ -18,7 +18,7 @@ use std::path::PathBuf;
   lumenmesh report pullback.mat -o report.html
   lumenmesh report recording/ --truth wall.vtp -o report.html --method cylinders --nodes 24")]
 pub(super) struct Arguments {
-    /// Recording: a MATLAB .mat file (v4 to v7.3) or a folder of CSV files
+    /// Recording: a MATLAB .mat file (v4 to v7.3), a folder of CSV files or a sequence file (.igs.mha, .igs.nrrd, …)
     #[arg(value_name = "REC")]
     recording: PathBuf,
     /// The vessel's wall, where it is known: the page then shows errors
@@ -43,7 +43,7 @@ impl Arguments {
         }
         refuse_inputs(
             [Some(&*self.output)],
-            [Some(&*self.recording), self.truth.as_deref(), self.settings.config()],
+            [Some(&*self.recording), self.truth.as_deref()].into_iter().chain(self.settings.inputs()),
         )?;
         let recording = self.settings.read(&self.recording)?;
         let truth = self.truth.as_deref().map(|path| Truth::new(Surface::read(path)?)).transpose()?;

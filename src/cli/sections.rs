@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 pub(super) struct Arguments {
     /// The mesh: .vtp, .ply, .stl, .obj, .vtk or .vtu
     mesh: PathBuf,
-    /// The recording whose planes cut it: a .mat file or a folder of CSV files
+    /// The recording whose planes cut it: a .mat file, a folder of CSV files or a sequence file
     #[arg(value_name = "REC")]
     recording: PathBuf,
     /// Settings that the mesh was made with, as TOML: the probe's calibration is taken from there

@@ -85,9 +85,10 @@ pub(super) struct SettingsArguments {
 }
 
 impl SettingsArguments {
-    /// The file that is read.
-    pub(super) fn config(&self) -> Option<&Path> {
-        self.config.as_deref()
+    /// The files that are read beside the recording.
+    pub(super) fn inputs(&self) -> [Option<&Path>; 3] {
+        let [contours, plus_config] = self.conventions.inputs();
+        [self.config.as_deref(), contours, plus_config]
     }
 
     /// Reads a recording, unchecked.
@@ -97,7 +98,7 @@ impl SettingsArguments {
 
     /// What of the command line beside the settings changes how a recording is read, as text.
     pub(super) fn reading(&self) -> String {
-        format!("{:?}", self.conventions.columns())
+        format!("{:?}", self.conventions.reading())
     }
 
     /// The settings of the file, or the defaults, with the flags on top.

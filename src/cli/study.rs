@@ -20,7 +20,7 @@ use std::path::PathBuf;
   lumenmesh study recording/ --truth wall.vtp --nodes 12,24,48 --levels 5,8 --iterations 1,3,10 -o study.csv
   lumenmesh study recording/ --truth wall.vtp --budget-ms 5 -o study.csv --plot study.svg")]
 pub(super) struct Arguments {
-    /// Recording: a MATLAB .mat file (v4 to v7.3) or a folder of CSV files
+    /// Recording: a MATLAB .mat file (v4 to v7.3), a folder of CSV files or a sequence file (.igs.mha, .igs.nrrd, …)
     #[arg(value_name = "REC")]
     recording: PathBuf,
     /// The vessel's wall

@@ -1,22 +1,31 @@
 //! Recordings: frames with their poses and contours, and their file formats.
 
 mod conventions;
+mod curves;
 mod cylinder;
 pub(crate) mod echo_error;
 mod finding;
 mod formats;
+mod mask;
+mod outline;
 mod pullback;
 mod screening;
+mod sequence;
 mod summary;
 
 pub use conventions::{Conventions, LengthUnit, QuaternionOrder, TimeUnit};
+pub use curves::Curves;
 pub use cylinder::CylinderModel;
 pub(crate) use cylinder::MAX_RADIUS_MM;
 pub use finding::{Example, Finding};
 pub(crate) use formats::Table;
+pub use mask::{MaskOptions, Masks};
 pub use pullback::{Pullback, PullbackOptions, PullbackPath};
 pub(crate) use screening::{Judged, LiveScreening};
 pub use screening::{LeftOut, NoEcho, Reason, Screened, Screening, UnfitFrames};
+pub use sequence::{
+    CONTOUR_X, CONTOUR_Y, Image, Sequence, SequenceContents, SequenceImages, TransformContents,
+};
 pub use summary::{MinMedianMax, Summary};
 
 use crate::geometry::{Pose, polygon};
@@ -24,7 +33,7 @@ use crate::output::ending;
 use crate::{Error, Result};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Between frames without a time, s: the thesis's frame rate.
 pub const FRAME_INTERVAL_S: f64 = 1.0 / 12.0;
@@ -131,7 +140,8 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Reads a recording: a MATLAB `.mat` file (v4 to v7.3) or a folder of CSV files.
+    /// Reads a recording: a MATLAB `.mat` file (v4 to v7.3), a folder of CSV files, or a [sequence file](Sequence) of PLUS
+    /// or 3D Slicer (`.igs.mha`, `.igs.mhd`, `.seq.mha`, `.igs.nrrd`, `.seq.nrrd`).
     ///
     /// A `.mat` file holds `rotm` (3×3×F, the sensor's rotation in the world), `Ep` (F×3, its position, mm),
     /// `x_data` and `y_data` (F×M, contours, mm, NaN where there is no echo) and optionally `cyl_px`, `cyl_py`,
@@ -196,18 +206,27 @@ impl Recording {
     /// Where a file cannot be read, lacks a variable, or has one of a wrong shape or of one that can be read in
     /// two ways.
     pub fn read_unchecked(path: &Path) -> Result<Self> {
-        Self::read_with_columns(path, &Columns::default())
+        Self::read_with(path, &ReadOptions::default())
     }
 
-    /// As [`Recording::read_unchecked`], of a folder whose files lack lines of column names.
+    /// As [`Recording::read_unchecked`], with what the file leaves open.
     ///
     /// # Errors
-    /// As [`Recording::read_unchecked`], and where columns are named for a `.mat` file.
-    pub fn read_with_columns(path: &Path, columns: &Columns) -> Result<Self> {
-        match path.is_dir() {
-            true => formats::csv::read(path, columns),
-            false if *columns == Columns::default() => formats::mat::read_by_ending(path),
-            false => Err(Error::input(path, "column names", "a file", "a folder of CSV files")),
+    /// As [`Recording::read_unchecked`], and where an option is for recordings of another kind.
+    pub fn read_with(path: &Path, options: &ReadOptions) -> Result<Self> {
+        let is_sequence = Sequence::has_ending(path);
+        if let Some((option, kind)) = options.misplaced(path.is_dir(), is_sequence) {
+            let found = match () {
+                () if path.is_dir() => "a folder of CSV files",
+                () if is_sequence => "a sequence file",
+                () => "a file",
+            };
+            return Err(Error::input(path, option, found, kind));
+        }
+        match () {
+            () if path.is_dir() => formats::csv::read(path, options),
+            () if is_sequence => Sequence::read(path)?.recording(options),
+            () => formats::mat::read_by_ending(path),
         }
     }
 
@@ -216,8 +235,10 @@ impl Recording {
         self.frames.get(k).and_then(|frame| frame.number).unwrap_or(k)
     }
 
-    /// Writes a recording: `.mat` by that ending, else (no ending, or a folder that is there) a folder of CSV
-    /// files. Both read back equal, but that CSV files hold rotations as quaternions (equal to 1e-12).
+    /// Writes a recording: `.mat` by that ending, a [sequence file](Sequence) by `.mha`, `.mhd` or `.nrrd` (`.mhd`
+    /// with a `.raw` beside it), else (no ending, or a folder that is there) a folder of CSV
+    /// files. All read back equal, but that CSV files hold rotations as quaternions (equal to 1e-12), and sequence files
+    /// no cylinder models.
     ///
     /// # Errors
     /// Where the recording fails [`Recording::check`], the ending is another one, or the file or folder cannot
@@ -228,6 +249,7 @@ impl Recording {
             _ if path.is_dir() => formats::csv::write(self, path),
             "mat" => formats::mat::write(self, path),
             "" => formats::csv::write(self, path),
+            "mha" | "mhd" | "nrrd" => sequence::write(self, path),
             _ => Err(unknown_ending(path)),
         }
     }
@@ -249,21 +271,69 @@ impl Recording {
     }
 }
 
-/// Names of the columns of CSV files that lack a line of them, in their order, by the names that these files have
-/// otherwise; `None` for a file that has one.
+/// What a recording's file leaves open.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
-pub struct Columns {
-    /// Of `poses.csv`.
-    pub poses: Option<Vec<String>>,
-    /// Of `contours.csv`.
-    pub contours: Option<Vec<String>>,
+pub struct ReadOptions {
+    /// Names of the columns of `poses.csv`, where it lacks a line of them, in their order.
+    pub pose_columns: Option<Vec<String>>,
+    /// The same of the file of the contours.
+    pub contour_columns: Option<Vec<String>>,
+    /// Of a sequence file, the transform that is the sensor in the world, such as `ProbeToTracker`; or a name for which a
+    /// chain of its transforms and their inverses stands, such as `ProbeToReference`.
+    pub transform: Option<String>,
+    /// Of a sequence file, which of its times count.
+    pub timestamps: Timestamps,
+    /// Of a sequence file, contours in a CSV file as [`Recording::read`] has them in a folder, by the frames' numbers.
+    pub contours: Option<PathBuf>,
+    /// Of a sequence file, a PLUS configuration with more transforms, such as `ImageToProbe`.
+    pub plus_config: Option<PathBuf>,
 }
 
-crate::setters::setters!(Columns {
-    with_poses => poses: Option<Vec<String>>,
-    with_contours => contours: Option<Vec<String>>,
+crate::setters::setters!(ReadOptions {
+    with_pose_columns => pose_columns: Option<Vec<String>>,
+    with_contour_columns => contour_columns: Option<Vec<String>>,
+    with_transform => transform: Option<String>,
+    with_timestamps => timestamps: Timestamps,
+    with_contours => contours: Option<PathBuf>,
+    with_plus_config => plus_config: Option<PathBuf>,
 });
+
+impl ReadOptions {
+    /// The first option that is not for this kind of recording, and the kind that it is for.
+    fn misplaced(&self, is_folder: bool, is_sequence: bool) -> Option<(&'static str, &'static str)> {
+        const CSV: &str = "a folder of CSV files";
+        const SEQUENCE: &str = "a sequence file (.igs.mha, .igs.nrrd, …)";
+        let with_contours = is_sequence && self.contours.is_some();
+        [
+            (self.pose_columns.is_some() && !is_folder, "names of pose columns", CSV),
+            (
+                self.contour_columns.is_some() && !is_folder && !with_contours,
+                "names of contour columns",
+                "a folder of CSV files, or a sequence file with contours in one",
+            ),
+            (self.transform.is_some() && !is_sequence, "name of a transform", SEQUENCE),
+            (self.timestamps != Timestamps::default() && !is_sequence, "kind of timestamps", SEQUENCE),
+            (self.contours.is_some() && !is_sequence, "file of contours", SEQUENCE),
+            (self.plus_config.is_some() && !is_sequence, "PLUS configuration", SEQUENCE),
+        ]
+        .into_iter()
+        .find(|(is_misplaced, ..)| *is_misplaced)
+        .map(|(_, option, kind)| (option, kind))
+    }
+}
+
+/// Times of a sequence file's frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[non_exhaustive]
+pub enum Timestamps {
+    /// `Timestamp`, from which PLUS has taken the jitter.
+    #[default]
+    Filtered,
+    /// `UnfilteredTimestamp`: when the data arrived.
+    Unfiltered,
+}
 
 /// Why a frame cannot be used.
 #[derive(Debug, Clone, PartialEq)]
@@ -413,6 +483,6 @@ fn unknown_ending(path: &Path) -> Error {
     Error::UnknownEnding {
         path: path.to_owned(),
         ending: ending(path),
-        expected: "mat, or none for a folder of CSV files",
+        expected: "mat, mha, mhd, nrrd, or none for a folder of CSV files",
     }
 }

@@ -7,7 +7,8 @@ use hdf5_pure::{AttrValue, DatasetBuilder, FileBuilder};
 use lumenmesh::evaluate::read_values;
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{
-    CylinderModel, Frame, Pullback, PullbackOptions, PullbackPath, Recording, Summary,
+    Curves, CylinderModel, Frame, MaskOptions, Masks, Pullback, PullbackOptions, PullbackPath, ReadOptions,
+    Recording, Sequence, Summary,
 };
 use lumenmesh::simulate::Centreline;
 use std::io::Write;
@@ -293,5 +294,99 @@ fn values_per_frame() {
     ];
     let file = File::new("by_hand.csv");
     let accepted = fuzz(&seeds, &CSV_TOKENS, |bytes| read_values(file.holding(bytes), "lumen_area").is_ok());
+    assert!(0 < accepted && accepted < inputs(), "{accepted} accepted");
+}
+
+const SEQUENCE_TOKENS: [&[u8]; 20] = [
+    b"Seq_Frame0001_",
+    b"ProbeToTrackerTransform",
+    b"TransformStatus",
+    b"INVALID",
+    b" = ",
+    b":=",
+    b": ",
+    b"\r\n",
+    b"\n\n",
+    b"DimSize = 4294967295 4294967295 2",
+    b"sizes: 0 1 18446744073709551615",
+    b"kinds: list domain domain",
+    b"LumenContourX0",
+    b"CompressedData = True",
+    b"encoding: gz",
+    b"MET_DOUBLE",
+    b"ElementDataFile = LOCAL",
+    b"UltrasoundImageOrientation = NU",
+    b"nan",
+    b"1e308",
+];
+
+/// Files as they are written, and one with images of a lumen.
+fn sequences(ending: &str) -> Vec<Vec<u8>> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(format!("rec.{ending}"));
+    recording().write(&path).unwrap();
+    let mut seeds = vec![std::fs::read(&path).unwrap()];
+    if ending == "mha" {
+        let mut pixels = vec![0; 2 * 7 * 7];
+        for frame in pixels.chunks_mut(49) {
+            (0..25).for_each(|k| frame[(k / 5 + 1) * 7 + k % 5 + 1] = 255);
+        }
+        let mut text = "ObjectType = Image\nDimSize = 7 7 2\nElementType = MET_UCHAR\n".to_owned();
+        for frame in 0..2 {
+            let matrix = format!("1 0 0 0 0 1 0 0 0 0 1 {frame} 0 0 0 1");
+            text += &format!("Seq_Frame{frame:04}_ProbeToTrackerTransform = {matrix}\n");
+            text +=
+                &format!("Seq_Frame{frame:04}_ImageToProbeTransform = 1 0 0 -3 0 1 0 -3 0 0 1 0 0 0 0 1\n");
+        }
+        seeds.push([(text + "ElementDataFile = LOCAL\n").as_bytes(), &pixels].concat());
+    }
+    seeds
+}
+
+fn sequence_files(ending: &str) {
+    let file = File::new(&format!("rec.{ending}"));
+    let accepted = fuzz(&sequences(ending), &SEQUENCE_TOKENS, |bytes| {
+        let path = file.holding(bytes);
+        let contents = Sequence::read(path).map(|sequence| sequence.contents().to_string());
+        let masks = Masks::read(path, &ReadOptions::default(), &MaskOptions::default());
+        contents.is_ok() & (reads(path) | masks.is_ok())
+    });
+    assert!(0 < accepted && accepted < inputs(), "{accepted} accepted");
+}
+
+#[test]
+fn meta_image_sequences() {
+    sequence_files("mha");
+}
+
+#[test]
+fn nrrd_sequences() {
+    sequence_files("nrrd");
+}
+
+#[test]
+fn plus_configurations() {
+    let seed = br#"<?xml version="1.0"?><PlusConfiguration><CoordinateDefinitions>
+        <Transform From="Tip" To="Probe" Matrix="1 0 0 0 0 1 0 0 0 0 1 7 0 0 0 1"/></CoordinateDefinitions></PlusConfiguration>"#;
+    let sequence = File::new("rec.mha");
+    let path = sequence.holding(&sequences("mha")[0]);
+    let file = File::new("plus.xml");
+    let accepted = fuzz(&[seed.to_vec()], &[b"<", b"/>", b"\"", b"&amp;", b"To=", b"nan"], |bytes| {
+        let options = ReadOptions::default()
+            .with_transform(Some("TipToTracker".into()))
+            .with_plus_config(Some(file.holding(bytes).to_owned()));
+        Recording::read_with(path, &options).is_ok()
+    });
+    assert!(0 < accepted && accepted < inputs(), "{accepted} accepted");
+}
+
+#[test]
+fn markups() {
+    let seed = br#"{"markups":[{"type":"ClosedCurve","coordinateSystem":"LPS","coordinateUnits":"mm","controlPoints":[
+        {"position":[1,0,0],"positionStatus":"defined"},{"position":[0,1,0]},{"position":[-1,-1,0.5]}]}]}"#;
+    let file = File::new("curve.mrk.json");
+    let tokens: [&[u8]; 8] = [b"1e308", b"null", b"[", b"]", b"{}", b"\"RAS\"", b",", b"-0.0"];
+    let accepted =
+        fuzz(&[seed.to_vec()], &tokens, |bytes| Curves::read(&[file.holding(bytes).to_owned()]).is_ok());
     assert!(0 < accepted && accepted < inputs(), "{accepted} accepted");
 }

@@ -93,7 +93,10 @@ fn folders_that_cannot_be_done_are_refused() {
     std::fs::write(at.join("twice/a.mat"), "").unwrap();
     for (arguments, message) in [
         (["batch", "no", "--out", "out"], "no: cannot read: "),
-        (["batch", "empty", "--out", "out"], "empty: recordings: found none, expected a .mat file"),
+        (
+            ["batch", "empty", "--out", "out"],
+            "empty: recordings: found none, expected a .mat or sequence file",
+        ),
         (["batch", "twice", "--out", "out"], "expected names that differ before their endings"),
     ] {
         let (status, _, stderr) = lumenmesh(&arguments, at);

@@ -16,6 +16,8 @@ mod evaluate_command;
 #[cfg(feature = "cli")]
 mod experiments;
 mod golden;
+#[cfg(feature = "cli")]
+mod import;
 mod layers;
 mod live;
 #[cfg(feature = "cli")]
@@ -32,6 +34,8 @@ mod recording_command;
 #[cfg(feature = "render")]
 mod render;
 mod screening;
+#[cfg(feature = "cli")]
+mod sequences;
 #[cfg(feature = "cli")]
 mod simulate;
 #[cfg(feature = "cli")]

@@ -15,8 +15,7 @@ use super::table::{Column, Table, TableRow};
 use super::{rising_numbers, rotation};
 use crate::geometry::Pose;
 use crate::output::{Unfinished, folder_of, lock, permissions_of_new, write_atomically};
-use crate::recording::{Columns, CylinderModel};
-use crate::recording::{Frame, Recording};
+use crate::recording::{CylinderModel, Frame, ReadOptions, Recording};
 use crate::{Error, Result};
 use glam::{DQuat, DVec2, DVec3};
 use std::collections::BTreeMap;
@@ -27,21 +26,12 @@ const POSES: &str = "poses.csv";
 const CONTOURS: &str = "contours.csv";
 const CYLINDERS: &str = "cylinders.csv";
 
-pub(in crate::recording) fn read(folder: &Path, columns: &Columns) -> Result<Recording> {
+pub(in crate::recording) fn read(folder: &Path, options: &ReadOptions) -> Result<Recording> {
     let _unchanged = locked(folder, Use::Read);
-    let mut frames = read_poses(&folder.join(POSES), columns.poses.as_deref())?;
-    let poses = ends(frames.keys());
-    read_contours(&folder.join(CONTOURS), columns.contours.as_deref(), &mut frames)?;
-    let with_contour = frames.iter().filter(|(_, frame)| !frame.contour_mm.is_empty());
-    if let (Some(poses), Some(contours)) = (poses, ends(with_contour.map(|(number, _)| number)))
-        && poses.0.abs_diff(contours.0) == 1
-        && poses.1 - poses.0 == contours.1 - contours.0
-    {
-        let found = format!("frames {} to {}", contours.0, contours.1);
-        let expected =
-            format!("{} to {} as in {POSES}: one counts from 0 and the other from 1", poses.0, poses.1);
-        return Err(Error::input(&folder.join(CONTOURS), "frame", found, expected));
-    }
+    let mut frames = read_poses(&folder.join(POSES), options.pose_columns.as_deref())?;
+    let numbers: Vec<usize> = frames.keys().copied().collect();
+    read_contours(&folder.join(CONTOURS), options.contour_columns.as_deref(), &mut frames)?;
+    check_numbering(&folder.join(CONTOURS), POSES, &frames, numbers.into_iter())?;
     if folder.join(CYLINDERS).exists() {
         let mut cylinders = Table::open(&folder.join(CYLINDERS))?;
         let frame_column = cylinders.column("frame")?;
@@ -72,10 +62,31 @@ pub(in crate::recording) fn read(folder: &Path, columns: &Columns) -> Result<Rec
     Ok(Recording { frames: frames.into_iter().enumerate().map(place).collect() })
 }
 
+/// Refuses contours whose numbers are those of the poses, but one more or less.
+///
+/// # Errors
+/// [`Error::Input`] about the contours' file; `poses` names where the poses are from.
+pub(in crate::recording) fn check_numbering(
+    contours: &Path,
+    poses: &str,
+    frames: &BTreeMap<usize, Frame>,
+    numbers: impl Iterator<Item = usize>,
+) -> Result<()> {
+    let with_contour = frames.iter().filter(|(_, frame)| !frame.contour_mm.is_empty());
+    let (Some(a), Some(b)) = (ends(numbers), ends(with_contour.map(|(number, _)| *number))) else {
+        return Ok(());
+    };
+    if a.0.abs_diff(b.0) != 1 || a.1 - a.0 != b.1 - b.0 {
+        return Ok(());
+    }
+    let expected = format!("{} to {} as in {poses}: one counts from 0 and the other from 1", a.0, a.1);
+    Err(Error::input(contours, "frame", format!("frames {} to {}", b.0, b.1), expected))
+}
+
 /// The first and the last of some rising numbers.
-fn ends<'a>(mut numbers: impl Iterator<Item = &'a usize>) -> Option<(usize, usize)> {
-    let first = *numbers.next()?;
-    Some((first, numbers.last().copied().unwrap_or(first)))
+fn ends(mut numbers: impl Iterator<Item = usize>) -> Option<(usize, usize)> {
+    let first = numbers.next()?;
+    Some((first, numbers.last().unwrap_or(first)))
 }
 
 /// Frames by their numbers, without contours.
@@ -108,8 +119,12 @@ fn read_poses(path: &Path, names: Option<&[String]>) -> Result<BTreeMap<usize, F
 }
 
 /// Adds contours to the frames: a line per point, or a line per frame with the columns `x0`, `y0`, `x1`, … in
-/// any order.
-fn read_contours(path: &Path, names: Option<&[String]>, frames: &mut BTreeMap<usize, Frame>) -> Result<()> {
+/// any order. A frame that is not there yet gets a lost pose.
+pub(in crate::recording) fn read_contours(
+    path: &Path,
+    names: Option<&[String]>,
+    frames: &mut BTreeMap<usize, Frame>,
+) -> Result<()> {
     let mut table = Table::open_named(path, names)?;
     let frame_column = table.column("frame")?;
     let [xs, ys] = [table.numbered_columns("x_mm")?, table.numbered_columns("y_mm")?];

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// The frames' numbers, or their places where the numbers do not rise, as a reader demands: then the frames
 /// were put in another order or come from several files.
-fn rising_numbers(recording: &Recording) -> impl Iterator<Item = usize> + '_ {
+pub(super) fn rising_numbers(recording: &Recording) -> impl Iterator<Item = usize> + '_ {
     let numbers =
         |own: bool| (0..recording.frames.len()).map(move |k| if own { recording.number(k) } else { k });
     numbers(numbers(true).is_sorted_by(|a, b| a < b))

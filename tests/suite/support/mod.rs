@@ -72,11 +72,17 @@ impl Python {
 
 /// `LUMENMESH_PYTHON` or `python3`; `None`, with a line on stderr, where it cannot import VTK.
 pub fn python_with_vtk() -> Option<Python> {
+    python_with("vtk, numpy")
+}
+
+/// `LUMENMESH_PYTHON` or `python3`; `None`, with a line on stderr, where it cannot import these modules.
+pub fn python_with(modules: &str) -> Option<Python> {
     let python = std::env::var_os("LUMENMESH_PYTHON").unwrap_or_else(|| "python3".into());
-    let imported = Command::new(&python).args(["-c", "import vtk, numpy"]).output();
+    let imported = Command::new(&python).args(["-c", &format!("import {modules}")]).output();
     if imported.is_ok_and(|output| output.status.success()) {
         return Some(Python(python.into()));
     }
-    skipped("no Python with VTK (LUMENMESH_PYTHON names one)", "LUMENMESH_REQUIRE_TOOLS");
+    let what = format!("no Python with {modules} (LUMENMESH_PYTHON names one)");
+    skipped(&what, "LUMENMESH_REQUIRE_TOOLS");
     None
 }
