@@ -11,6 +11,7 @@ macro_rules! println {
     ($($text:tt)*) => { print!("{}\n", format_args!($($text)*)) };
 }
 
+mod axis;
 mod batch;
 mod bench;
 mod conventions;
@@ -56,6 +57,7 @@ struct Arguments {
 enum Command {
     Reconstruct(reconstruct::Arguments),
     Evaluate(evaluate::Arguments),
+    Axis(axis::Arguments),
     Sections(sections::Arguments),
     Info(info::Arguments),
     Import(import::Arguments),
@@ -95,6 +97,7 @@ pub fn main() -> ExitCode {
     let done: Result<()> = match arguments.command {
         Command::Reconstruct(arguments) => arguments.run(),
         Command::Evaluate(arguments) => arguments.run(),
+        Command::Axis(arguments) => arguments.run(),
         Command::Sections(arguments) => arguments.run(),
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
