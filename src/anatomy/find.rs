@@ -5,9 +5,11 @@
 //! the centroids of the lumen, and so on until they stay.
 
 use super::axis::VesselAxis;
+use crate::evaluate::Locator;
 use crate::geometry::Pose;
 use crate::geometry::polyline::resampled;
 use crate::numerics::banded::Pentadiagonal;
+use crate::numerics::robust::median;
 use crate::reconstruction::Lumen;
 use crate::surface::{Cutter, Groups, Surface};
 use crate::{Error, Result};
@@ -67,11 +69,12 @@ impl VesselTree {
         let bands = Bands::of(&mesh, &source);
         let (paths, node_owner) = bands.branches(&mesh, &ends, &openings.concat());
         let node_branch: Vec<u32> = mesh.first_at.iter().map(|&node| node_owner[node as usize]).collect();
-        let cutter = Cutter::new(surface)?;
+        let (cutter, locator) = (Cutter::new(surface)?, Locator::new(surface)?);
         let mut axes = Vec::new();
         for (branch, path) in paths.iter().enumerate() {
             let is_own = |node: u32| node_branch[node as usize] == branch as u32;
             match refined(&cutter, path, mesh.diameter_mm, branch > 0, &is_own) {
+                Ok(axis) if branch > 0 => axes.push(apart(axis, &locator)?),
                 Ok(axis) => axes.push(axis),
                 Err(error) if branch == 0 => return Err(error),
                 // A branch that no plane cuts closed keeps the middles of its slices.
@@ -460,7 +463,8 @@ fn refined(
     const STIFFNESS: f64 = 4.0;
     const STEP_DIAMETERS: f64 = 0.25;
     let step = STEP_DIAMETERS * diameter_mm;
-    let centroid = |pose: &Pose| -> Option<DVec3> {
+    // The centroid of the lumen and its distance from the outline.
+    let centroid = |pose: &Pose| -> Option<(DVec3, f64)> {
         let cut = cutter.cut(pose);
         let reach = |k: usize| match cut.outlines[k].contains(DVec2::ZERO) {
             true => 0.0,
@@ -472,7 +476,7 @@ fn refined(
         let middle = outline.centroid_mm();
         let pure = cut.on_edges[nearest].iter().all(|on| on.nodes.iter().all(|&n| is_own(n)));
         (pure && reach(nearest) <= 0.5 * radius && middle.length() <= radius)
-            .then(|| pose.transform_point(middle.extend(0.0)))
+            .then(|| (pose.transform_point(middle.extend(0.0)), outline.distance_mm(middle)))
     };
     let mut points = path.to_vec();
     if points.len() < 2 {
@@ -495,8 +499,13 @@ fn refined(
         let axis = VesselAxis::through(&points)?;
         let stations: Vec<f64> = crate::geometry::polyline::lengths(&points);
         let whole = stations[stations.len() - 1];
-        let middles: Vec<Option<DVec3>> =
+        let mut middles: Vec<Option<(DVec3, f64)>> =
             stations.iter().map(|s| centroid(&axis.pose(s / whole * axis.length_mm()))).collect();
+        without_corners(&mut middles);
+        middles.reverse();
+        without_corners(&mut middles);
+        middles.reverse();
+        let middles: Vec<Option<DVec3>> = middles.into_iter().map(|m| m.map(|(middle, _)| middle)).collect();
         let mut matrix = Pentadiagonal::second_differences(points.len(), STIFFNESS);
         let mut right = vec![DVec3::ZERO; points.len()];
         for (k, middle) in middles.iter().enumerate() {
@@ -545,6 +554,34 @@ fn refined(
     // Not in the plane of a rim.
     let margin = 1e-3 * diameter_mm;
     axis.part([start + margin, end - margin])
+}
+
+/// The part of a branch's axis from where it lies as deep in its lumen as farther on: before that, outlines are still of
+/// the wedge at which it parts from another.
+fn apart(axis: VesselAxis, locator: &Locator) -> Result<VesselAxis> {
+    const DEEP: f64 = 0.75;
+    let points = axis.points_mm();
+    let depth: Vec<f64> = locator.closest_all(points).iter().map(|c| c.distance_mm).collect();
+    let half = points.len() / 2;
+    let typical = median(&mut depth[half..].to_vec());
+    match depth[..half].iter().position(|&d| d >= DEEP * typical) {
+        Some(first) if first > 0 => axis.part([axis.arc_mm()[first], axis.length_mm()]),
+        _ => Ok(axis),
+    }
+}
+
+/// Leaves out the first outlines where they are much smaller than those a diameter on: of the corners of a closed end or of
+/// the wedge where two branches part, not of a lumen.
+fn without_corners(middles: &mut [Option<(DVec3, f64)>]) {
+    const SMALL: f64 = 0.75;
+    const ON: usize = 4;
+    for k in 0..middles.len().saturating_sub(ON) {
+        match (middles[k], middles[k + ON]) {
+            (None, _) => {}
+            (Some((_, size)), Some((_, on))) if size < SMALL * on => middles[k] = None,
+            _ => return,
+        }
+    }
 }
 
 /// Places the points behind the last one that was seen on the parabola through those before it.

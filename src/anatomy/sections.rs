@@ -215,15 +215,13 @@ impl<'a> Sections<'a> {
         at_mm.par_iter().map(section).collect()
     }
 
-    /// The outline of a branch's lumen in a plane, in the plane's coordinates, with the edges that its points lie on; or
-    /// why there is none.
+    /// The outline of a branch's lumen in a plane, in the plane's coordinates, or why there is none.
     pub(super) fn lumen(
         &self,
         world_from_plane: &Pose,
         branch: u32,
-    ) -> std::result::Result<(SectionOutline, Vec<OnEdge>), String> {
-        self.outline(world_from_plane, Choice::OfBranch(branch))
-            .map(|(outline, on_edges, _)| (outline, on_edges))
+    ) -> std::result::Result<SectionOutline, String> {
+        self.outline(world_from_plane, Choice::OfBranch(branch)).map(|(outline, ..)| outline)
     }
 
     /// Where another branch opens into this one, mm along its axis, and the remark about it: where outlines run into it, and
@@ -278,7 +276,7 @@ impl<'a> Sections<'a> {
     pub(super) fn areas_mm2(&self, axis: &VesselAxis, branch: u32, at_mm: &[f64]) -> Vec<f64> {
         let area = |&at: &f64| {
             let lumen = self.lumen(&axis.pose(at), branch);
-            lumen.map_or(f64::NAN, |(outline, _)| outline.area_mm2())
+            lumen.map_or(f64::NAN, |outline| outline.area_mm2())
         };
         at_mm.par_iter().map(area).collect()
     }

@@ -14,6 +14,7 @@ macro_rules! println {
 mod axis;
 mod batch;
 mod bench;
+mod compare;
 mod conventions;
 mod convert;
 mod demo;
@@ -59,6 +60,7 @@ enum Command {
     Evaluate(evaluate::Arguments),
     Axis(axis::Arguments),
     Sections(sections::Arguments),
+    Compare(compare::Arguments),
     Info(info::Arguments),
     Import(import::Arguments),
     Convert(convert::Arguments),
@@ -99,6 +101,7 @@ pub fn main() -> ExitCode {
         Command::Evaluate(arguments) => arguments.run(),
         Command::Axis(arguments) => arguments.run(),
         Command::Sections(arguments) => arguments.run(),
+        Command::Compare(arguments) => arguments.run(),
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Convert(arguments) => arguments.run(),

@@ -329,3 +329,49 @@ fn a_real_vessel_keeps_its_sections_apart_from_its_branches() {
     // The stenosis's inscribed radius is given as 1.1 mm.
     assert!((PI * 1.1 * 1.1..PI * 2.0 * 2.0).contains(&least), "{least}");
 }
+
+#[test]
+fn two_vessels_are_compared_both_ways() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, surface: &Surface| surface.write(&folder.path().join(name)).unwrap();
+    write("a.stl", &tube(200, 60, 10.0, 60.0));
+    write("b.stl", &tube(200, 60, 11.0, 60.0));
+    let mut aside = tube(200, 60, 10.0, 60.0);
+    aside.nodes_mm.iter_mut().for_each(|p| p.x += 5.0);
+    write("aside.stl", &aside);
+    aside.nodes_mm.iter_mut().for_each(|p| p.x += 100.0);
+    write("far.stl", &aside);
+    let compare = |arguments: &[&str]| lumenmesh(&[&["compare"], arguments].concat(), folder.path());
+    let json = |arguments: &[&str]| -> serde_json::Value {
+        let (status, said, errors) = compare(&[arguments, &["--json"]].concat());
+        assert_eq!((status, errors.as_str()), (0, ""));
+        serde_json::from_str(&said).unwrap()
+    };
+    let is = |value: &serde_json::Value, expected: f64, within: f64| {
+        let found = value.as_f64().unwrap();
+        assert!((found - expected).abs() <= within, "{found}, expected {expected}");
+    };
+    let same = json(&["a.stl", "a.stl"]);
+    is(&same["hausdorff_mm"], 0.0, 1e-9);
+    is(&same["overlap"]["dice"], 1.0, 1e-9);
+    let wider = json(&["a.stl", "b.stl", "--out", "map.vtp"]);
+    is(&wider["a_to_b"]["mean_mm"], 1.0, 2e-3);
+    is(&wider["signed_mean_mm"], -1.0, 2e-3);
+    is(&wider["overlap"]["dice"], 2.0 * 100.0 / 221.0, 1e-3);
+    is(&wider["overlap"]["volume_difference_percent"], 21.0, 0.05);
+    let map = Surface::read(&folder.path().join("map.vtp")).unwrap();
+    assert!(map.array("signed_error_mm").unwrap().iter().all(|e| (e + 1.0).abs() < 0.01));
+    // Two circles whose centres are half a radius apart.
+    let beside = json(&["a.stl", "aside.stl"]);
+    is(&beside["overlap"]["dice"], 2.0 / PI * (0.25_f64.acos() - 0.25 * 0.9375_f64.sqrt()), 2e-3);
+    let (status, said, _) = compare(&["a.stl", "b.stl"]);
+    assert!(status == 0 && said.contains("Hausdorff") && said.contains("+21.00 % from A to B"), "{said}");
+    for (arguments, expected) in [
+        (&["a.stl", "far.stl"][..], "far.stl: lumen: found no plane"),
+        (&["a.stl", "b.stl", "--out", "map.stl"], "unknown ending"),
+        (&["a.stl", "b.stl", "--step", "-1"], "setting step"),
+    ] {
+        let (status, _, said) = compare(arguments);
+        assert!(status == 1 && said.contains(expected), "{said}");
+    }
+}
