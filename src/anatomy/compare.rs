@@ -63,7 +63,8 @@ impl Overlap {
             };
             let (a_mm2, b_mm2) = (area(&lumen_a), area(&lumen_b));
             let both_mm2 = match (&lumen_a, &lumen_b) {
-                (Ok(a), Ok(b)) => common_area_mm2(a, b),
+                // Lines leave it a hair too large or too small.
+                (Ok(a), Ok(b)) => common_area_mm2(a, b).min(a_mm2).min(b_mm2),
                 _ => f64::NAN,
             };
             let remark = |name: &str, lumen: std::result::Result<SectionOutline, String>| {

@@ -78,7 +78,7 @@ impl VesselTree {
                 Ok(axis) => axes.push(axis),
                 Err(error) if branch == 0 => return Err(error),
                 // A branch that no plane cuts closed keeps the middles of its slices.
-                Err(_) => axes.push(VesselAxis::through(path)?),
+                Err(_) => axes.push(apart(VesselAxis::through(path)?, &locator)?),
             }
         }
         Ok(Self { axes, node_branch })

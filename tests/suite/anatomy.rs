@@ -353,7 +353,7 @@ fn two_vessels_are_compared_both_ways() {
     };
     let same = json(&["a.stl", "a.stl"]);
     is(&same["hausdorff_mm"], 0.0, 1e-9);
-    is(&same["overlap"]["dice"], 1.0, 1e-9);
+    is(&same["overlap"]["dice"], 1.0, 1e-4);
     let wider = json(&["a.stl", "b.stl", "--out", "map.vtp"]);
     is(&wider["a_to_b"]["mean_mm"], 1.0, 2e-3);
     is(&wider["signed_mean_mm"], -1.0, 2e-3);
@@ -369,7 +369,7 @@ fn two_vessels_are_compared_both_ways() {
     for (arguments, expected) in [
         (&["a.stl", "far.stl"][..], "far.stl: lumen: found no plane"),
         (&["a.stl", "b.stl", "--out", "map.stl"], "unknown ending"),
-        (&["a.stl", "b.stl", "--step", "-1"], "setting step"),
+        (&["a.stl", "b.stl", "--step", "0"], "setting step"),
     ] {
         let (status, _, said) = compare(arguments);
         assert!(status == 1 && said.contains(expected), "{said}");
