@@ -262,11 +262,11 @@ impl Graph {
                 edges.entry((a.min(b), a.max(b))).or_insert((0, if a < b { normal } else { -normal })).0 += 1;
             }
         }
-        let rim: Vec<((u32, u32), DVec3)> =
+        let rim: Vec<RimEdge> =
             edges.into_iter().filter(|(_, (count, _))| *count == 1).map(|(edge, (_, n))| (edge, n)).collect();
         let mut groups = Groups::new(self.nodes_mm.len());
         rim.iter().for_each(|&((a, b), _)| groups.join(a, b));
-        let mut rims: BTreeMap<u32, Vec<((u32, u32), DVec3)>> = BTreeMap::new();
+        let mut rims: BTreeMap<u32, Vec<RimEdge>> = BTreeMap::new();
         for &edge in &rim {
             rims.entry(groups.root(edge.0.0)).or_default().push(edge);
         }
@@ -290,6 +290,9 @@ impl Graph {
         openings.into_iter().map(|(_, nodes)| nodes).collect()
     }
 }
+
+/// An edge of one triangle only, and that triangle's normal, whichever its sign.
+type RimEdge = ((u32, u32), DVec3);
 
 /// The direction in which points spread least.
 fn plane_normal(points: &[DVec3]) -> DVec3 {
@@ -588,7 +591,7 @@ fn without_corners(middles: &mut [Option<(DVec3, f64)>]) {
 fn prolong(points: &mut [DVec3], seen: &[bool]) {
     /// Points over which the bend is taken.
     const OVER: usize = 4;
-    let Some(last) = seen.iter().rposition(|&s| s).filter(|&last| last >= OVER + 1) else { return };
+    let Some(last) = seen.iter().rposition(|&s| s).filter(|&last| last > OVER) else { return };
     let bend = |k: usize| points[k + 1] - points[k] * 2.0 + points[k - 1];
     let bend = (last - OVER..last).map(bend).sum::<DVec3>() / OVER as f64;
     for k in last + 1..points.len() {
