@@ -43,7 +43,8 @@
 //! | [`cylinders`] | the published method: cylinders fitted to the wall points about a frame, then merged |
 //! | [`sweep`] | the default method: one smooth tube along the vessel's axis, fitted to all echoes |
 //! | [`reconstruction`] | [`Reconstructor`](reconstruction::Reconstructor) for whole recordings, [`Live`](reconstruction::Live) for one frame at a time |
-//! | [`evaluate`] | distances to a truth surface, cross-sections, volumes |
+//! | [`evaluate`] | distances to a truth surface, volumes |
+//! | [`anatomy`] | a vessel's axis, cross-sections, stenoses and aneurysms |
 //! | [`simulate`] | recordings whose truth is known |
 //! | [`study`] | the thesis's experiments, resolution against error and time, benches |
 //! | [`report`] | pictures, plots and pages |
@@ -52,6 +53,7 @@
 //! The mathematics is in `docs/method.md` of the source, results are in `docs/accuracy.md`.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
+pub mod anatomy;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod cylinders;

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 /// Repeat the thesis's experiments on a vessel of known geometry
 ///
 /// One simulated insertion, with noise and without, is reconstructed by the published method and measured against
-/// the wall: Tables 1 to 7 and Figures 29 to 36, the thesis's numbers beside ours as far as they are at hand.
+/// the wall: Tables 1 to 7 and Figures 29 to 36, every number that the thesis prints beside ours.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh experiments

@@ -11,8 +11,10 @@ macro_rules! println {
     ($($text:tt)*) => { print!("{}\n", format_args!($($text)*)) };
 }
 
+mod axis;
 mod batch;
 mod bench;
+mod compare;
 mod conventions;
 mod convert;
 mod demo;
@@ -56,7 +58,9 @@ struct Arguments {
 enum Command {
     Reconstruct(reconstruct::Arguments),
     Evaluate(evaluate::Arguments),
+    Axis(axis::Arguments),
     Sections(sections::Arguments),
+    Compare(compare::Arguments),
     Info(info::Arguments),
     Import(import::Arguments),
     Convert(convert::Arguments),
@@ -95,7 +99,9 @@ pub fn main() -> ExitCode {
     let done: Result<()> = match arguments.command {
         Command::Reconstruct(arguments) => arguments.run(),
         Command::Evaluate(arguments) => arguments.run(),
+        Command::Axis(arguments) => arguments.run(),
         Command::Sections(arguments) => arguments.run(),
+        Command::Compare(arguments) => arguments.run(),
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Convert(arguments) => arguments.run(),

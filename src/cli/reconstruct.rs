@@ -1,6 +1,7 @@
 use super::settings::SettingsArguments;
 use super::space::SpaceArgument;
 use super::{Shown, print_json, progress, refuse_inputs};
+use crate::anatomy::{VesselTree, check_axis_ending};
 use crate::cylinders::{CylindersReport, write_cylinders};
 use crate::engine::EngineDescription;
 use crate::reconstruction::{Lumen, LumenReport, Reconstructor, Summary};
@@ -19,6 +20,7 @@ use std::path::PathBuf;
   lumenmesh reconstruct pullback.mat -o vessel.vtp
   lumenmesh reconstruct pullback.mat -o vessel.vtp --sweep-nodes 128 --keep-unsupported
   lumenmesh reconstruct pullback.mat -o vessel.stl --config settings.toml --json > report.json
+  lumenmesh reconstruct pullback.mat -o vessel.vtp --axis axis.vtp
   lumenmesh reconstruct pullback.mat -o vessel.vtp --correct-poses --estimate-offset
   lumenmesh reconstruct recording/ -o vessel.vtp --quaternion wxyz --units m
   lumenmesh reconstruct recording/ -o vessel.ply --method cylinders --nodes 24 --levels 8
@@ -35,6 +37,9 @@ pub(super) struct Arguments {
     /// Also write every deformed cylinder, iteration by iteration, as CSV
     #[arg(long, value_name = "CSV")]
     cylinders: Option<PathBuf>,
+    /// Also write the vessel's axis, as polylines that VMTK and ParaView read: .vtp
+    #[arg(long, value_name = "VTP")]
+    axis: Option<PathBuf>,
     /// Print the report as JSON
     #[arg(long)]
     json: bool,
@@ -62,8 +67,9 @@ impl Arguments {
             });
         }
         surface::check_ending(&self.output)?;
+        self.axis.as_deref().map_or(Ok(()), check_axis_ending)?;
         refuse_inputs(
-            [Some(&*self.output), self.cylinders.as_deref()],
+            [Some(&*self.output), self.cylinders.as_deref(), self.axis.as_deref()],
             [Some(&*self.recording)].into_iter().chain(self.settings.inputs()),
         )?;
         let recording = self.settings.read(&self.recording)?;
@@ -72,7 +78,11 @@ impl Arguments {
         if let (Some(path), Some(reconstruction)) = (&self.cylinders, lumen.cylinders()) {
             write_cylinders(&reconstruction.cylinders, path)?;
         }
-        self.space.write(&lumen.surface(), &self.output)?;
+        let surface = lumen.surface();
+        self.space.write(&surface, &self.output)?;
+        if let Some(path) = &self.axis {
+            VesselTree::of_lumen(&lumen, &surface)?.write(&surface, path, self.space.name())?;
+        }
         let report = lumen.report();
         if self.json {
             let (recording, mesh) = (Shown(&self.recording), Shown(&self.output));
@@ -81,6 +91,9 @@ impl Arguments {
         print_report(report);
         print_screening(lumen.screening());
         println!("mesh       {}", self.output.display());
+        if let Some(path) = &self.axis {
+            println!("axis       {}", path.display());
+        }
         if let Some(path) = &self.cylinders {
             println!("cylinders  {}", path.display());
         }

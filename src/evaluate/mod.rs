@@ -6,13 +6,11 @@
 mod coverage;
 mod locator;
 mod region;
-mod sections;
 mod volume;
 
 pub use coverage::Coverage;
 pub use locator::{Closest, Locator};
 pub use region::Region;
-pub use sections::{LumenSection, read_values, sections};
 pub use volume::{Volumes, closed_volume_mm3};
 
 use crate::surface::Surface;

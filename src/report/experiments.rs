@@ -14,26 +14,21 @@ pub fn tables(experiments: &Experiments) -> Vec<Table> {
     tables.push(table_4(experiments));
     tables.push(table_5(experiments));
 
-    let by_iteration = |name: &str, series: &Series| {
-        let rows = series.cylinder_spread.iter().enumerate();
-        rows.map(|(i, spread)| spread_row(format!("{name}, iteration {i}"), spread)).collect::<Vec<_>>()
-    };
-    tables.push(Table {
-        title: "Table 6: errors of the single cylinders (mm)".into(),
-        head: spread_head("cylinders"),
-        rows: [by_iteration("noiseless", noiseless), by_iteration("noisy", noisy)].concat(),
-        note: format!("Iteration 0 is before the fit. Thesis: {NOT_AT_HAND}."),
-    });
-    let merged = |name: &str, series: &Series| {
-        [("original", &series.original), ("deformed", &series.deformed)]
-            .map(|(which, merged)| spread_row(format!("{name}, {which}"), &merged.node_spread))
-    };
-    tables.push(Table {
-        title: "Table 7: errors of the merged mesh's nodes (mm)".into(),
-        head: spread_head("nodes"),
-        rows: [merged("noiseless", noiseless), merged("noisy", noisy)].concat(),
-        note: format!("Thesis: {NOT_AT_HAND}."),
-    });
+    tables.push(violin_table(
+        experiments,
+        "Table 6",
+        "noisy",
+        noisy,
+        experiments.thesis.tables_6_and_7.noisy,
+    ));
+    tables.push(violin_table(
+        experiments,
+        "Table 7",
+        "noiseless",
+        noiseless,
+        experiments.thesis.tables_6_and_7.noiseless,
+    ));
+    tables.push(overall(experiments));
     tables.push(both_ways(experiments));
     tables
 }
@@ -106,7 +101,8 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
                 "noisy, never bent",
                 experiments.noisy_steady.cylinder_spread.iter().map(|s| s.median_mm).collect(),
             ),
-            medians("thesis (other vessels)", experiments.thesis.table_4_median_mm.to_vec()),
+            medians("thesis, noisy", experiments.thesis.table_4_median_mm.noisy.to_vec()),
+            medians("thesis, noiseless", experiments.thesis.table_4_median_mm.noiseless.to_vec()),
         ],
     )?;
     page.plot(&svg, "Table 4 as a plot: median over the cylinders of their errors, after each iteration.");
@@ -139,7 +135,7 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
     let svg =
         violins("error of a node (mm)", &[ends(noiseless, "noiseless"), ends(noisy, "noisy")].concat())?;
     page.plot(&svg, &format!("Errors of the merged mesh's nodes. {VIOLIN}"));
-    page.table(&all[7]);
+    page.table(&all[8]);
 
     page.heading("Where the error is (Figures 35 and 36)");
     let style = Style { array: Some("error_mm".into()), ..Style::default() };
@@ -150,6 +146,10 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
         );
         page.mesh(mesh, &style, &caption)?;
     }
+
+    page.table(&all[7]);
+    page.heading("What the thesis says about its figures");
+    page.definitions(experiments.thesis.statements.iter().map(|s| (s.figure, s.says)));
 
     page.heading("What the numbers mean");
     let rows = DEFINITIONS.into_iter().chain(evaluate::DEFINITIONS);
@@ -165,8 +165,6 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
     Ok(page.finish())
 }
 
-const NOT_AT_HAND: &str = "not at hand";
-
 const VIOLIN: &str = "The width shows how common an error is, the bar reaches from the first to the third quartile, the dot is \
     the median; the axis ends at the largest 99th percentile.";
 
@@ -179,51 +177,71 @@ fn head<const N: usize>(names: [&str; N]) -> Vec<String> {
 }
 
 fn primitive_tables(experiments: &Experiments) -> Vec<Table> {
-    let table =
-        |title: &str, of: &Convergence, iterations: usize, thesis: &[(usize, f64)], note: &str| Table {
-            title: title.into(),
-            head: head(["iteration", "mean (mm)", "end rings (mm)", "largest (mm)", "thesis: mean (mm)"]),
-            rows: of.iterations[..=iterations.min(of.iterations.len() - 1)]
-                .iter()
-                .enumerate()
-                .map(|(i, step)| {
-                    let known = thesis.iter().find(|(iteration, _)| *iteration == i);
-                    vec![
-                        i.to_string(),
-                        mm(step.mean_mm),
-                        mm(step.end_rings_mean_mm),
-                        mm(step.max_mm),
-                        known.map_or_else(|| NOT_AT_HAND.into(), |(_, value)| mm(*value)),
-                    ]
-                })
-                .collect(),
-            note: note.into(),
-        };
+    let table = |title: &str, of: &Convergence, iterations: usize, thesis: &[f64], note: &str| Table {
+        title: title.into(),
+        head: head([
+            "iteration",
+            "mean (mm)",
+            "radial mean (mm)",
+            "end rings (mm)",
+            "largest (mm)",
+            "thesis: mean (mm)",
+            "why they differ",
+        ]),
+        rows: of.iterations[..=iterations.min(of.iterations.len() - 1)]
+            .iter()
+            .enumerate()
+            .map(|(i, step)| {
+                let why = match (i, of.taper_deg() > 0.0) {
+                    (0, false) => "The thesis measures to a wall of facets, we to the formula.",
+                    (0, true) => "The radial means are equal: our frustum is chosen so.",
+                    (_, false) => "Rounding differs.",
+                    (_, true) => "The thesis does not give its frustum's dimensions.",
+                };
+                vec![
+                    i.to_string(),
+                    mm(step.mean_mm),
+                    mm(step.radial_mean_mm),
+                    mm(step.end_rings_mean_mm),
+                    mm(step.max_mm),
+                    thesis.get(i).map_or_else(|| "-".into(), |value| mm(*value)),
+                    why.into(),
+                ]
+            })
+            .collect(),
+        note: note.into(),
+    };
     let frustum = &experiments.frustum;
     let note = format!(
-        "A tube of {} mm radius and {} mm height; the wall tapers from {} to {} mm. The thesis's mean after 3 iterations is \
-         {}; its other rows are not at hand.",
+        "A tube of {} mm radius and {} mm height; the wall tapers from {:.4} to {:.4} mm, so that its mean radial distance from \
+         the tube is the thesis's before the fit; the rest is our choice. The radial gate is opened to {} radii.",
         frustum.primitive_radius_mm,
         frustum.settings.height_mm,
         frustum.start_radius_mm,
         frustum.end_radius_mm,
-        experiments.thesis.frustum_mean_mm_after_3
+        frustum.settings.gate[1]
     );
     let cylinder = &experiments.larger_cylinder;
-    let thesis = [(3, experiments.thesis.frustum_mean_mm_after_3)];
+    let thesis = &experiments.thesis;
     vec![
         table(
             "Table 1: a larger cylinder",
             cylinder,
             3,
-            &[],
+            &thesis.table_1_mm,
             &format!(
                 "A tube of {} mm radius in a cylinder of {} mm; the radial gate is opened to {} radii.",
                 cylinder.primitive_radius_mm, cylinder.end_radius_mm, cylinder.settings.gate[1]
             ),
         ),
-        table("Table 2: a frustum, 3 iterations", frustum, 3, &thesis, &note),
-        table("Table 3: the same frustum, 10 iterations", frustum, 10, &thesis, "As Table 2."),
+        table("Table 2: a frustum, 3 iterations", frustum, 3, &thesis.tables_2_and_3_mm, &note),
+        table(
+            "Table 3: the same frustum, 10 iterations",
+            frustum,
+            10,
+            &thesis.tables_2_and_3_mm,
+            "As Table 2.",
+        ),
     ]
 }
 
@@ -232,23 +250,37 @@ fn table_4(experiments: &Experiments) -> Table {
         series.cylinder_spread.get(i).map_or_else(|| "-".into(), |spread| mm(spread.median_mm))
     };
     let iterations = experiments.noisy.cylinder_spread.len();
+    let known = &experiments.thesis.table_4_median_mm;
+    let of_thesis = |values: &[f64; 4], i: usize| values.get(i).map_or_else(|| "-".into(), |v| mm(*v));
     let rows = (0..iterations).map(|i| {
-        let known = experiments.thesis.table_4_median_mm.get(i);
+        let why = match i {
+            0 => "Another vessel, and cylinders of another estimator, which begin nearer or farther.",
+            _ => "Another vessel and other noise: what a cylinder cannot follow is left.",
+        };
         vec![
             i.to_string(),
-            median(&experiments.noiseless, i),
             median(&experiments.noisy, i),
+            of_thesis(&known.noisy, i),
+            median(&experiments.noiseless, i),
+            of_thesis(&known.noiseless, i),
             median(&experiments.noisy_steady, i),
-            known.map_or_else(|| NOT_AT_HAND.into(), |v| mm(*v)),
+            why.into(),
         ]
     });
     Table {
         title: "Table 4: median fitting error (mm)".into(),
-        head: head(["iteration", "noiseless", "noisy", "noisy, tip never bent", "thesis"]),
+        head: head([
+            "iteration",
+            "noisy",
+            "thesis: noisy",
+            "noiseless",
+            "thesis: noiseless",
+            "noisy, tip never bent",
+            "why they differ",
+        ]),
         rows: rows.collect(),
         note: format!(
-            "Median over {} cylinders ({} where the tip is never bent). Which of the thesis's rows this is, noisy or noiseless, \
-             is not at hand. The error before the fit depends on how far the vessel is from a cylinder and how well the cylinders \
+            "Median over {} cylinders ({} where the tip is never bent). The error before the fit depends on how far the vessel is from a cylinder and how well the cylinders \
              were placed: a bent tip sees the wall at a slant, and a cylinder estimated from that starts farther away. With \
              noise, iterations after the first few follow the noise.",
             experiments.noisy.cylinder_frames.len(),
@@ -258,25 +290,35 @@ fn table_4(experiments: &Experiments) -> Table {
 }
 
 fn table_5(experiments: &Experiments) -> Table {
-    let rows =
-        [("noiseless", &experiments.noiseless), ("noisy", &experiments.noisy)].map(|(noise, series)| {
-            let row = |name: &str, original: f64, deformed: f64, rings: String| {
-                vec![format!("{noise}, {name}"), mm(original), mm(deformed), rings, NOT_AT_HAND.into()]
-            };
-            let Series { original, deformed, .. } = series;
-            [
-                row("not merged", original.not_merged_mean_mm, deformed.not_merged_mean_mm, "-".into()),
-                row(
-                    "merged",
-                    original.node_spread.mean_mm,
-                    deformed.node_spread.mean_mm,
-                    deformed.rings.to_string(),
-                ),
-            ]
-        });
+    let thesis = &experiments.thesis;
+    let (apart, merged) = (thesis.table_5_not_merged_mm, thesis.table_5_merged_mm);
+    let rows = [
+        ("noisy", &experiments.noisy, apart.noisy, merged.noisy),
+        ("noiseless", &experiments.noiseless, apart.noiseless, merged.noiseless),
+    ]
+    .map(|(noise, Series { original, deformed, .. }, apart, merged)| {
+        [
+            vec![
+                format!("{noise}, not merged"),
+                mm(original.not_merged_mean_mm),
+                mm(deformed.not_merged_mean_mm),
+                mm(apart),
+                "-".into(),
+                "Another vessel; a few badly placed cylinders weigh much in a mean.".into(),
+            ],
+            vec![
+                format!("{noise}, merged"),
+                mm(original.node_spread.mean_mm),
+                mm(deformed.node_spread.mean_mm),
+                mm(merged),
+                deformed.rings.to_string(),
+                "Another vessel, and the thesis does not say which rings its stitching keeps.".into(),
+            ],
+        ]
+    });
     Table {
         title: "Table 5: merged against not merged, mean error (mm)".into(),
-        head: head(["", "original", "deformed", "rings", "thesis"]),
+        head: head(["", "original", "deformed", "thesis", "rings", "why they differ"]),
         rows: rows.into_iter().flatten().collect(),
         note:
             "Rings are those of the deformed mesh: stitching drops every ring that a later cylinder overlaps."
@@ -284,22 +326,88 @@ fn table_5(experiments: &Experiments) -> Table {
     }
 }
 
-fn spread_head(count: &str) -> Vec<String> {
-    head(["", count, "mean", "sd", "least", "25 %", "median", "75 %", "95 %", "largest"])
+/// A violin's numbers as the thesis gives them, of the merged mesh and of the single cylinders.
+fn violin_table(
+    experiments: &Experiments,
+    title: &str,
+    noise: &str,
+    series: &Series,
+    thesis: thesis::ViolinNumbers,
+) -> Table {
+    let row = |name: String, spread: &Spread, why: &str| {
+        let numbers = [
+            spread.mean_mm,
+            spread.iqr_mm,
+            spread.lower_limit_mm,
+            spread.upper_limit_mm,
+            spread.lower_quartile_mm,
+            spread.median_mm,
+            spread.upper_quartile_mm,
+            spread.p95_mm,
+            spread.max_mm,
+        ];
+        let numbers = numbers.map(mm).into_iter();
+        [name, spread.count.to_string()].into_iter().chain(numbers).chain([why.to_owned()]).collect()
+    };
+    let mut of_thesis: Vec<String> = vec!["thesis".into(), "-".into()];
+    of_thesis.extend([thesis.mean_mm, thesis.iqr_mm, thesis.lower_limit_mm, thesis.upper_limit_mm].map(mm));
+    of_thesis.extend(
+        ["-", "-", "-", "-", "-", "The thesis does not say whose errors these are."].map(String::from),
+    );
+    let mut rows = vec![
+        of_thesis,
+        row("merged, deformed".into(), &series.deformed.node_spread, "Another vessel; errors of its nodes."),
+        row("merged, original".into(), &series.original.node_spread, "The same before the fit."),
+    ];
+    rows.extend(series.cylinder_spread.iter().enumerate().map(|(i, spread)| {
+        row(format!("cylinders, iteration {i}"), spread, "Another vessel; means of single cylinders.")
+    }));
+    Table {
+        title: format!("{title}: the violin of the errors, {noise} (mm)"),
+        head: head([
+            "",
+            "count",
+            "mean",
+            "IQR",
+            "lower limit",
+            "upper limit",
+            "25 %",
+            "median",
+            "75 %",
+            "95 %",
+            "largest",
+            "why they differ",
+        ]),
+        rows,
+        note: format!(
+            "Limits are Q1 - 1.5 IQR and Q3 + 1.5 IQR. Quartiles by nearest rank; {} cylinders.",
+            experiments.noisy.cylinder_frames.len()
+        ),
+    }
 }
 
-fn spread_row(name: String, spread: &Spread) -> Vec<String> {
-    let numbers = [
-        spread.mean_mm,
-        spread.sd_mm,
-        spread.min_mm,
-        spread.lower_quartile_mm,
-        spread.median_mm,
-        spread.upper_quartile_mm,
-        spread.p95_mm,
-        spread.max_mm,
-    ];
-    [name, spread.count.to_string()].into_iter().chain(numbers.map(mm)).collect()
+/// The overall errors that the thesis gives with Figures 35 and 36.
+fn overall(experiments: &Experiments) -> Table {
+    let known = experiments.thesis.figures_35_and_36_overall_mm;
+    let row = |figure: &str, series: &Series, thesis: f64| {
+        let evaluation = &series.deformed.evaluation;
+        vec![
+            figure.into(),
+            mm(evaluation.mesh_to_truth.mean_mm),
+            mm(evaluation.mesh_to_truth.median_mm),
+            mm(thesis),
+            "Another vessel, and \"overall fitting error\" is defined nowhere.".into(),
+        ]
+    };
+    Table {
+        title: "Figures 35 and 36: overall fitting error of the merged mesh (mm)".into(),
+        head: head(["", "mean", "median", "thesis", "why they differ"]),
+        rows: vec![
+            row("Figure 35, noisy", &experiments.noisy, known.noisy),
+            row("Figure 36, noiseless", &experiments.noiseless, known.noiseless),
+        ],
+        note: "Distances of the mesh's nodes to the truth.".into(),
+    }
 }
 
 fn both_ways(experiments: &Experiments) -> Table {
@@ -324,7 +432,7 @@ fn both_ways(experiments: &Experiments) -> Table {
         head: head(["", "mesh→truth mean", "rms", "signed mean", "truth→mesh mean", "95 %", "truth covered"]),
         rows: rows.to_vec(),
         note: format!(
-            "A node of the truth is covered where {}. The thesis's values are {NOT_AT_HAND}.",
+            "A node of the truth is covered where {}. The thesis measures one way only.",
             experiments.noisy.deformed.evaluation.covered_rule
         ),
     }

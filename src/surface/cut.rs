@@ -14,9 +14,35 @@ use std::collections::BTreeMap;
 pub struct Cut {
     /// The closed curves.
     pub outlines: Vec<SectionOutline>,
+    /// Of each closed curve and each of its points: the edge of the surface that it lies on.
+    pub on_edges: Vec<Vec<OnEdge>>,
     /// Number of curves that are not closed: the plane crosses an opening of the surface, or more than two triangles meet
     /// in an edge.
     pub open: usize,
+}
+
+/// A point on an edge of a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OnEdge {
+    /// The edge's nodes.
+    pub nodes: [u32; 2],
+    /// How far from the first node to the second, 0 to 1.
+    pub share: f64,
+}
+
+impl OnEdge {
+    /// The value there of a node array, interpolated.
+    pub fn value(&self, array: &[f64]) -> f64 {
+        let [low, high] = self.nodes.map(|node| array[node as usize]);
+        low + (high - low) * self.share
+    }
+}
+
+/// A straight line across an outline.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Chord {
+    pub length_mm: f64,
+    pub ends_mm: [DVec2; 2],
 }
 
 /// A closed polygon in a plane, in the plane's own coordinates; the last point joins the first.
@@ -50,6 +76,7 @@ impl Surface {
 
         // Every cut edge gives a point of the curves, and every cut triangle joins two of them.
         let mut points_mm: Vec<DVec2> = Vec::new();
+        let mut on_edges: Vec<OnEdge> = Vec::new();
         let mut joined: Vec<Vec<usize>> = Vec::new();
         let mut by_edge: BTreeMap<[u32; 2], usize> = BTreeMap::new();
         for &[a, b, c] in triangles {
@@ -59,7 +86,9 @@ impl Surface {
                 let edge = [p.min(q), p.max(q)];
                 ends[found] = *by_edge.entry(edge).or_insert_with(|| {
                     let [low, high] = edge.map(in_plane);
-                    points_mm.push(low.lerp(high, low.z / (low.z - high.z)).truncate());
+                    let share = low.z / (low.z - high.z);
+                    points_mm.push(low.lerp(high, share).truncate());
+                    on_edges.push(OnEdge { nodes: edge, share });
                     joined.push(Vec::new());
                     points_mm.len() - 1
                 });
@@ -81,6 +110,7 @@ impl Surface {
             if curve.len() > 2 && curve.iter().all(|&p| joined[p].len() == 2) {
                 cut.outlines
                     .push(SectionOutline { points_mm: curve.iter().map(|&p| points_mm[p]).collect() });
+                cut.on_edges.push(curve.iter().map(|&p| on_edges[p]).collect());
             } else {
                 cut.open += 1;
             }
@@ -199,21 +229,52 @@ impl SectionOutline {
     /// The shortest and the longest chord through the centroid, mm, among directions half a degree apart. A chord ends
     /// at its first intersections with the curve. `None` where the centroid lies outside.
     pub fn diameters_mm(&self) -> Option<[f64; 2]> {
+        Some(self.chords()?.map(|chord| chord.length_mm))
+    }
+
+    /// The chords of [`diameters_mm`](Self::diameters_mm).
+    pub(crate) fn chords(&self) -> Option<[Chord; 2]> {
         const DIRECTIONS: u32 = 360;
         let centroid = self.centroid_mm();
         if !self.contains(centroid) {
             return None;
         }
-        (0..DIRECTIONS).try_fold([f64::INFINITY, 0.0_f64], |[least, greatest], i| {
+        let chord = |i: u32| {
             let direction = DVec2::from_angle(std::f64::consts::PI * f64::from(i) / f64::from(DIRECTIONS));
             let (mut forth, mut back) = (f64::INFINITY, f64::INFINITY);
             for t in self.crossings(centroid, direction) {
                 let side = if t > 0.0 { &mut forth } else { &mut back };
                 *side = side.min(t.abs());
             }
-            let chord = forth + back;
-            chord.is_finite().then_some([least.min(chord), greatest.max(chord)])
-        })
+            let ends_mm = [centroid + direction * forth, centroid - direction * back];
+            (forth + back).is_finite().then_some(Chord { length_mm: forth + back, ends_mm })
+        };
+        let mut extremes = [chord(0)?; 2];
+        for i in 1..DIRECTIONS {
+            let chord = chord(i)?;
+            if chord.length_mm < extremes[0].length_mm {
+                extremes[0] = chord;
+            }
+            if chord.length_mm > extremes[1].length_mm {
+                extremes[1] = chord;
+            }
+        }
+        Some(extremes)
+    }
+
+    /// The largest distance of two of its points (Feret's diameter).
+    pub(crate) fn feret(&self) -> Chord {
+        let mut farthest = Chord { length_mm: 0.0, ends_mm: [DVec2::NAN; 2] };
+        let points = &self.points_mm;
+        for (i, &p) in points.iter().enumerate() {
+            for &q in &points[i + 1..] {
+                let length_mm = p.distance(q);
+                if length_mm > farthest.length_mm {
+                    farthest = Chord { length_mm, ends_mm: [p, q] };
+                }
+            }
+        }
+        farthest
     }
 
     /// Intersections of the line through a point with the curve, as distances along a unit direction, mm.

@@ -5,9 +5,12 @@ mod formats;
 mod space;
 mod topology;
 
-pub use cut::{Cut, Cutter, SectionOutline};
+pub use cut::{Cut, Cutter, OnEdge, SectionOutline};
 pub use space::Space;
+pub(crate) use topology::Groups;
 pub use topology::Topology;
+
+pub(crate) use formats::vtp::PolyData;
 
 use crate::{Error, Result, output};
 use formats::{mat, obj, ply, stl, vtk, vtp};
@@ -198,6 +201,12 @@ impl Surface {
         let first = *self.nodes_mm.first()?;
         Some(self.nodes_mm.iter().fold([first, first], |[low, high], &p| [low.min(p), high.max(p)]))
     }
+}
+
+/// The polylines of a .vtp file, mm in [`Space::Ras`].
+pub(crate) fn read_polylines(path: &Path) -> Result<Vec<Vec<DVec3>>> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Read { path: path.into(), source })?;
+    vtp::parse_lines(path, &bytes)
 }
 
 /// Refuses a file name whose ending names no surface format, before any work is spent on it.

@@ -37,7 +37,7 @@ impl Space {
     }
 
     /// A point of this space in RAS, and the other way round.
-    pub(super) fn swapped(self, p: DVec3) -> DVec3 {
+    pub(crate) fn swapped(self, p: DVec3) -> DVec3 {
         match self {
             Space::Ras => p,
             Space::Lps => DVec3::new(-p.x, -p.y, p.z),

@@ -99,13 +99,27 @@ impl Surface {
         groups.filter(|edge| edge.len() == 1).map(|edge| [edge[0].0, edge[0].1]).collect()
     }
 
-    /// The triangles whose corners do not lie where those of an earlier one do, in whatever order; ascending.
-    pub(crate) fn distinct_triangles(&self) -> Vec<u32> {
+    /// Of each node: the first one in its place.
+    pub(crate) fn first_in_place(&self) -> Vec<u32> {
         let mut first_at = HashMap::new();
         // Adding zero makes -0 and 0 the same place.
         let place = |p: &DVec3| (*p + DVec3::ZERO).to_array().map(f64::to_bits);
-        let first: Vec<u32> =
-            (0..).zip(&self.nodes_mm).map(|(node, p)| *first_at.entry(place(p)).or_insert(node)).collect();
+        (0..).zip(&self.nodes_mm).map(|(node, p)| *first_at.entry(place(p)).or_insert(node)).collect()
+    }
+
+    /// The surface with triangles that share a node wherever theirs are in one place, as cuts and axes need it: some
+    /// programs give every triangle nodes of its own. Triangles that this leaves with fewer than three nodes are dropped.
+    #[must_use]
+    pub fn joined(mut self) -> Self {
+        let first = self.first_in_place();
+        self.triangles.iter_mut().for_each(|t| *t = t.map(|node| first[node as usize]));
+        self.triangles.retain(|&t| has_three_nodes(t));
+        self
+    }
+
+    /// The triangles whose corners do not lie where those of an earlier one do, in whatever order; ascending.
+    pub(crate) fn distinct_triangles(&self) -> Vec<u32> {
+        let first = self.first_in_place();
         let key = |triangle: &[u32; 3]| {
             let mut corners = triangle.map(|node| first[node as usize]);
             corners.sort_unstable();
@@ -191,17 +205,18 @@ fn directed_edges(triangles: &[[u32; 3]]) -> Vec<DirectedEdge> {
 }
 
 /// Nodes joined into groups (union-find with path halving).
-struct Groups {
+pub(crate) struct Groups {
     parent: Vec<u32>,
     joined: Vec<bool>,
 }
 
 impl Groups {
-    fn new(nodes: usize) -> Self {
+    pub(crate) fn new(nodes: usize) -> Self {
         Self { parent: (0..nodes as u32).collect(), joined: vec![false; nodes] }
     }
 
-    fn root(&mut self, mut node: u32) -> u32 {
+    /// The member that stands for the node's group: its lowest.
+    pub(crate) fn root(&mut self, mut node: u32) -> u32 {
         while self.parent[node as usize] != node {
             let above = self.parent[self.parent[node as usize] as usize];
             self.parent[node as usize] = above;
@@ -210,7 +225,7 @@ impl Groups {
         node
     }
 
-    fn join(&mut self, a: u32, b: u32) {
+    pub(crate) fn join(&mut self, a: u32, b: u32) {
         self.joined[a as usize] = true;
         self.joined[b as usize] = true;
         let (a, b) = (self.root(a), self.root(b));

@@ -4,7 +4,7 @@ use crate::mutate::{File, fuzz, inputs};
 use flate2::{Compression, write::ZlibEncoder};
 use glam::{DQuat, DVec2, DVec3};
 use hdf5_pure::{AttrValue, DatasetBuilder, FileBuilder};
-use lumenmesh::evaluate::read_values;
+use lumenmesh::anatomy::read_values;
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{
     Curves, CylinderModel, Frame, MaskOptions, Masks, Pullback, PullbackOptions, PullbackPath, ReadOptions,

@@ -2,10 +2,10 @@
 
 use crate::support::{lumenmesh, shared};
 use glam::DVec2;
+use lumenmesh::anatomy::{LumenSection, Sections, read_values};
 use lumenmesh::cylinders::CpuEngine;
 use lumenmesh::cylinders::CylinderReconstruction;
 use lumenmesh::cylinders::estimate::{CylinderEstimator, LocalEstimate, Upright};
-use lumenmesh::evaluate::{LumenSection, read_values, sections};
 use lumenmesh::geometry::Pose;
 use lumenmesh::recording::{Frame, Pullback, PullbackOptions, Recording};
 use lumenmesh::settings::Settings;
@@ -67,8 +67,8 @@ impl Case {
         let mesh = CylinderReconstruction::of(recording, settings, &engine).unwrap().vessel.surface();
         let topology = mesh.topology();
         assert!(topology.is_oriented_manifold() && topology.boundary_loops == 2, "{topology:?}");
-        let sections = sections(&mesh, recording, Pose::IDENTITY).unwrap();
-        let differences = self.differences(sections.iter().map(|s| s.area_mm2));
+        let sections = Sections::of(&mesh, None).unwrap().of_frames(recording, Pose::IDENTITY);
+        let differences = self.differences(sections.iter().map(|s| s.measures.area_mm2));
         (sections, differences)
     }
 }
@@ -97,10 +97,10 @@ fn the_lumen_area_is_that_measured_by_hand() {
         println!("{}: number, by hand, mesh mm², difference; diameters mm", case.name);
         for (k, s) in sections.iter().enumerate() {
             let number = case.pullback.frame_numbers[k];
-            let [least, greatest] = [s.least_diameter_mm, s.greatest_diameter_mm];
+            let [least, greatest] = [s.measures.least_diameter_mm, s.measures.greatest_diameter_mm];
             println!(
                 "  {number:4} {:6.2} {:7.3} {:+5.1} %  {least:.2} to {greatest:.2}",
-                case.by_hand_mm2[&number], s.area_mm2, differences[k]
+                case.by_hand_mm2[&number], s.measures.area_mm2, differences[k]
             );
         }
         println!("  median {:.2} %, largest {:.2} %", median(&differences), largest(&differences));
@@ -255,8 +255,8 @@ fn areas_of_a_swept_vessel_agree_too() {
         let recording = &case.pullback.recording;
         let swept = |settings: &Settings, keep_unsupported: bool| {
             let mesh = Sweep::of(recording, settings).unwrap().surface(keep_unsupported);
-            let sections = sections(&mesh, recording, Pose::IDENTITY).unwrap();
-            let differences = case.differences(sections.iter().map(|s| s.area_mm2));
+            let sections = Sections::of(&mesh, None).unwrap().of_frames(recording, Pose::IDENTITY);
+            let differences = case.differences(sections.iter().map(|s| s.measures.area_mm2));
             // An outline that is cut open counts as off without bound.
             let open = differences.iter().filter(|d| d.is_nan()).count();
             let bounded = differences.iter().map(|d| if d.is_nan() { f64::MAX } else { *d });

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Modules from the bottom to the top; the longest prefix of a path decides.
-const ORDER: [&str; 36] = [
+const ORDER: &[&str] = &[
     "setters",
     "text",
     "numerics",
@@ -36,6 +36,7 @@ const ORDER: [&str; 36] = [
     "sweep",
     "reconstruction",
     "evaluate",
+    "anatomy",
     "simulate",
     "study",
     "report",

@@ -5,6 +5,9 @@
 mod support;
 
 #[cfg(feature = "cli")]
+mod anatomy;
+
+#[cfg(feature = "cli")]
 mod batch;
 mod blend;
 #[cfg(feature = "cli")]

@@ -22,6 +22,7 @@ use crate::surface::Surface;
 use serde::Serialize;
 use std::ops::ControlFlow;
 use std::time::Instant;
+use thesis::Thesis;
 
 /// What the numbers of [`Experiments`] mean, beside [`crate::evaluate::DEFINITIONS`].
 pub const DEFINITIONS: [(&str, &str); 5] = [
@@ -97,7 +98,7 @@ pub struct Experiments {
     pub noisy: Series,
     /// A recording with the same noise along the same way, but the tip is never bent.
     pub noisy_steady: Series,
-    /// The thesis's numbers, as far as they are at hand.
+    /// The thesis's numbers.
     pub thesis: Thesis,
 }
 
@@ -115,16 +116,6 @@ pub struct VesselFacts {
     pub notes: Vec<String>,
     /// How many bends of the tip were reduced to keep it in the lumen.
     pub reduced_bends: usize,
-}
-
-/// The thesis's numbers, as far as they are at hand.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct Thesis {
-    /// [`thesis::TABLE_4_MEDIAN_MM`].
-    pub table_4_median_mm: [f64; 4],
-    /// [`thesis::FRUSTUM_MEAN_MM_AFTER_3`].
-    pub frustum_mean_mm_after_3: f64,
 }
 
 /// The results.
@@ -222,10 +213,7 @@ pub fn run(
         noiseless,
         noisy,
         noisy_steady,
-        thesis: Thesis {
-            table_4_median_mm: thesis::TABLE_4_MEDIAN_MM,
-            frustum_mean_mm_after_3: thesis::FRUSTUM_MEAN_MM_AFTER_3,
-        },
+        thesis: thesis::THESIS,
     };
     let seconds = Seconds {
         simulate: simulate_seconds,

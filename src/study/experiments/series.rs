@@ -70,6 +70,12 @@ pub struct Spread {
     pub median_mm: f64,
     /// Third quartile.
     pub upper_quartile_mm: f64,
+    /// Third less first quartile.
+    pub iqr_mm: f64,
+    /// First quartile less 1.5 of these: the lower limit of the thesis's violins.
+    pub lower_limit_mm: f64,
+    /// Third quartile and 1.5 of these.
+    pub upper_limit_mm: f64,
     /// 95th percentile.
     pub p95_mm: f64,
     /// The largest.
@@ -88,8 +94,12 @@ impl Spread {
         let mean_mm = values.iter().sum::<f64>() / n;
         let squares: f64 = values.iter().map(|v| (v - mean_mm).powi(2)).sum();
         let rank = |share: f64| sorted[((share * n).ceil() as usize).clamp(1, sorted.len()) - 1];
+        let iqr_mm = rank(0.75) - rank(0.25);
         Self {
             count: sorted.len(),
+            iqr_mm,
+            lower_limit_mm: rank(0.25) - 1.5 * iqr_mm,
+            upper_limit_mm: rank(0.75) + 1.5 * iqr_mm,
             mean_mm,
             sd_mm: if sorted.len() > 1 { (squares / (n - 1.0)).sqrt() } else { 0.0 },
             min_mm,

@@ -611,38 +611,106 @@ fn decoded_head(text: &[u8], bytes: usize) -> Option<Vec<u8>> {
     (out.len() == bytes).then_some(out)
 }
 
-/// Float64 throughout, so that nothing is lost.
+/// What a file of VTK's PolyData can hold beside a [`Surface`]: lines, arrays of vectors, and numbers of triangles.
+#[derive(Default)]
+pub(crate) struct PolyData<'a> {
+    pub nodes_mm: &'a [DVec3],
+    pub triangles: &'a [[u32; 3]],
+    /// Polylines, as nodes.
+    pub lines: &'a [Vec<u32>],
+    /// Name, numbers per node, and numbers.
+    pub node_arrays: Vec<(&'a str, usize, &'a [f64])>,
+    /// Name and a whole number for each line and then for each triangle.
+    pub cell_arrays: Vec<(&'a str, &'a [i64])>,
+}
+
 pub(in crate::surface) fn write(surface: &Surface, space: Space, w: &mut dyn Write) -> std::io::Result<()> {
-    let (nodes, triangles) = (surface.nodes_mm.len(), surface.triangles.len());
-    writeln!(w, "<?xml version=\"1.0\"?>")?;
-    writeln!(
-        w,
-        "<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n<PolyData>"
-    )?;
-    let characters: Vec<String> = space.name().bytes().chain([0]).map(|c| c.to_string()).collect();
-    writeln!(
-        w,
-        "<FieldData>\n<Array type=\"String\" Name=\"SPACE\" NumberOfTuples=\"1\" format=\"ascii\">\n{}\n</Array>\n\
-         </FieldData>",
-        characters.join(" ")
-    )?;
-    writeln!(
-        w,
-        "<Piece NumberOfPoints=\"{nodes}\" NumberOfVerts=\"0\" NumberOfLines=\"0\" NumberOfStrips=\"0\" \
-         NumberOfPolys=\"{triangles}\">"
-    )?;
-    writeln!(w, "<PointData>")?;
-    for array in &surface.arrays {
-        write_array(w, "Float64", &array.name, 1, array.values.iter().map(|x| x.to_le_bytes()))?;
+    let Surface { nodes_mm, triangles, arrays } = surface;
+    let node_arrays = arrays.iter().map(|a| (a.name.as_str(), 1, a.values.as_slice())).collect();
+    PolyData { nodes_mm, triangles, node_arrays, ..PolyData::default() }.write(space, w)
+}
+
+impl PolyData<'_> {
+    /// Writes nodes that are in a space. Float64 throughout, so that nothing is lost.
+    pub(crate) fn write(&self, space: Space, w: &mut dyn Write) -> std::io::Result<()> {
+        let (nodes, triangles, lines) = (self.nodes_mm.len(), self.triangles.len(), self.lines.len());
+        writeln!(w, "<?xml version=\"1.0\"?>")?;
+        writeln!(
+            w,
+            "<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n<PolyData>"
+        )?;
+        let characters: Vec<String> = space.name().bytes().chain([0]).map(|c| c.to_string()).collect();
+        writeln!(
+            w,
+            "<FieldData>\n<Array type=\"String\" Name=\"SPACE\" NumberOfTuples=\"1\" format=\"ascii\">\n{}\n</Array>\n\
+             </FieldData>",
+            characters.join(" ")
+        )?;
+        writeln!(
+            w,
+            "<Piece NumberOfPoints=\"{nodes}\" NumberOfVerts=\"0\" NumberOfLines=\"{lines}\" NumberOfStrips=\"0\" \
+             NumberOfPolys=\"{triangles}\">"
+        )?;
+        writeln!(w, "<PointData>")?;
+        for (name, components, values) in &self.node_arrays {
+            write_array(w, "Float64", name, *components, values.iter().map(|x| x.to_le_bytes()))?;
+        }
+        writeln!(w, "</PointData>")?;
+        if !self.cell_arrays.is_empty() {
+            writeln!(w, "<CellData>")?;
+            for (name, values) in &self.cell_arrays {
+                write_array(w, "Int64", name, 1, values.iter().map(|x| x.to_le_bytes()))?;
+            }
+            writeln!(w, "</CellData>")?;
+        }
+        writeln!(w, "<Points>")?;
+        let coordinates = self.nodes_mm.iter().flat_map(|p| p.to_array());
+        write_array(w, "Float64", "Points", 3, coordinates.map(f64::to_le_bytes))?;
+        writeln!(w, "</Points>")?;
+        if lines > 0 {
+            writeln!(w, "<Lines>")?;
+            let ends = self.lines.iter().scan(0, |end, line| {
+                *end += line.len() as i64;
+                Some(*end)
+            });
+            let nodes = self.lines.iter().flatten().map(|&n| i64::from(n).to_le_bytes());
+            write_array(w, "Int64", "connectivity", 1, nodes)?;
+            write_array(w, "Int64", "offsets", 1, ends.map(i64::to_le_bytes))?;
+            writeln!(w, "</Lines>")?;
+        }
+        writeln!(w, "<Polys>")?;
+        let corners = self.triangles.iter().flatten();
+        write_array(w, "Int64", "connectivity", 1, corners.map(|&n| i64::from(n).to_le_bytes()))?;
+        write_array(w, "Int64", "offsets", 1, (1..=triangles as i64).map(|k| (3 * k).to_le_bytes()))?;
+        writeln!(w, "</Polys>\n</Piece>\n</PolyData>\n</VTKFile>")
     }
-    writeln!(w, "</PointData>\n<Points>")?;
-    let coordinates = surface.nodes_mm.iter().flat_map(|p| p.to_array());
-    write_array(w, "Float64", "Points", 3, coordinates.map(f64::to_le_bytes))?;
-    writeln!(w, "</Points>\n<Polys>")?;
-    let corners = surface.triangles.iter().flatten();
-    write_array(w, "Int64", "connectivity", 1, corners.map(|&n| i64::from(n).to_le_bytes()))?;
-    write_array(w, "Int64", "offsets", 1, (1..=triangles as i64).map(|k| (3 * k).to_le_bytes()))?;
-    writeln!(w, "</Polys>\n</Piece>\n</PolyData>\n</VTKFile>")
+}
+
+/// The polylines of a file, mm in [`Space::Ras`].
+pub(in crate::surface) fn parse_lines(path: &Path, bytes: &[u8]) -> Result<Vec<Vec<DVec3>>> {
+    let document = Document::parse(path, bytes)?;
+    let space = document.space()?.unwrap_or_default();
+    let mut lines = Vec::new();
+    for piece in &document.pieces {
+        let nodes_mm = document.nodes(piece)?;
+        document.cells(piece, "Lines", |_, cell| {
+            let point = |&node: &i64| {
+                let known = usize::try_from(node).ok().and_then(|node| nodes_mm.get(node));
+                let p = known
+                    .ok_or_else(|| Error::input(path, "Lines", format!("point {node}"), nodes_mm.len()))?;
+                match p.is_finite() {
+                    true => Ok(space.swapped(*p)),
+                    false => Err(Error::input(path, format!("point {node}"), p, "finite coordinates")),
+                }
+            };
+            lines.push(cell.iter().map(point).collect::<Result<Vec<_>>>()?);
+            Ok(())
+        })?;
+    }
+    if lines.iter().all(|line| line.len() < 2) {
+        return Err(Error::input(path, "Lines", "none", "at least one polyline of two points"));
+    }
+    Ok(lines)
 }
 
 fn write_array(
