@@ -2,8 +2,8 @@
 # Installs what the tests need and runs all of them.
 #
 # On Debian and Ubuntu, as root or with sudo, missing pieces come from apt: the software Vulkan driver where no
-# adapter is found, Octave, and a Python environment with VTK, SimpleITK and pynrrd under target/. Tests whose tool or data is still
-# missing say SKIPPED; with LUMENMESH_REQUIRE_GPU=1, LUMENMESH_REQUIRE_DATA=1 or LUMENMESH_REQUIRE_TOOLS=1 they
+# adapter is found, Octave, Chromium, and a Python environment with VTK, SimpleITK and pynrrd under target/. Tests
+# whose tool or data is still missing say SKIPPED; with LUMENMESH_REQUIRE_GPU=1, LUMENMESH_REQUIRE_DATA=1 or LUMENMESH_REQUIRE_TOOLS=1 they
 # fail instead. LUMENMESH_SHARED names the folder of recordings and truth surfaces (default: ../shared).
 #
 #   scripts/test.sh             # everything that takes minutes
@@ -37,7 +37,7 @@ target/debug/lumenmesh devices || true
 
 say "other tools"
 command -v octave-cli >/dev/null || apt_install octave || echo "octave-cli is missing: its tests will be skipped"
-for tool in cmake pkg-config valgrind; do
+for tool in cmake pkg-config valgrind chromium; do
   command -v "$tool" >/dev/null || apt_install "$tool" || echo "$tool is missing: its tests will be skipped"
 done
 if [ -z "${LUMENMESH_PYTHON:-}" ]; then
@@ -62,12 +62,14 @@ run cargo test "${chosen[@]}"
 # The Python package, as it is installed.
 if [ -x target/python/bin/python ]; then
   python=target/python/bin/python
-  run "$python" -m pip install -q --disable-pip-version-check maturin pytest mypy pyvista trimesh 'dask[distributed]'
+  run "$python" -m pip install -q --disable-pip-version-check maturin pytest mypy pyvista trimesh playwright pillow 'dask[distributed]'
   rm -rf target/wheels
   run target/python/bin/maturin build --quiet --profile dev --manifest-path python/Cargo.toml -i "$python" -o target/wheels
   run "$python" -m pip install -q --disable-pip-version-check --force-reinstall --no-deps target/wheels/*.whl
   run "$python" -m pytest -q python/tests
   run "$python" -m mypy.stubtest lumenmesh
+  # The page that shows a vessel, in Chromium.
+  run "$python" -m pytest -q -rs tests/viewer
 else
   echo "SKIPPED: the Python package: no Python with NumPy under target/"
   [ "${LUMENMESH_REQUIRE_TOOLS:-}" != 1 ] || status=1

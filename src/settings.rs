@@ -438,7 +438,8 @@ mod tests {
         ] {
             settings.set(name, value).unwrap();
         }
-        let sweep = SweepSettings::default().with_nodes(Some(64)).with_correct_poses(true);
+        let sweep =
+            SweepSettings::default().with_nodes(Some(64)).with_correct_poses(true).with_even_smoothness(true);
         let expected = Settings::default()
             .with_method(Method::Cylinders)
             .with_backend(Backend::Cpu)

@@ -36,6 +36,7 @@ mod simulate;
 mod space;
 mod study;
 mod vessel;
+mod view;
 
 use crate::output::{self, remove_unfinished};
 use crate::recording::{Recording, Screened, Screening};
@@ -73,6 +74,7 @@ enum Command {
     Replay(replay::Arguments),
     Render(render::Arguments),
     Report(report::Arguments),
+    View(view::Arguments),
     #[cfg(feature = "gpu")]
     Devices(devices::Arguments),
     Completions(manual::Completions),
@@ -114,6 +116,7 @@ pub fn main() -> ExitCode {
         Command::Replay(arguments) => arguments.run(),
         Command::Render(arguments) => arguments.run(),
         Command::Report(arguments) => arguments.run(),
+        Command::View(arguments) => arguments.run(),
         Command::Completions(arguments) => arguments.run(),
         Command::Manual(arguments) => arguments.run(),
         #[cfg(feature = "gpu")]

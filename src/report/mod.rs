@@ -9,8 +9,10 @@ pub mod render;
 mod rows;
 mod study;
 mod sweep;
+mod viewer;
 
 pub use experiments::{experiments_page, tables};
 pub use page::Table;
 pub use reconstruction::{PageContent, html};
 pub use study::study_plot;
+pub use viewer::viewer_page;
