@@ -90,6 +90,8 @@ const WIDTHS_DEG: [f64; 2] = [20.0, 40.0];
 const MIN_RATIO: f64 = 0.16;
 const MIN_NODE: f64 = 0.25;
 const MAX_RATIO: f64 = 64.0;
+/// Largest squared roughness of a ring that smoothing follows: at the mouths of branches echoes of these make it seem rough.
+const MAX_RING: f64 = 4.0;
 /// Largest design effect that smoothing makes up for: the variance of a wall whose echoes err alike, in units of that where
 /// they err independently. Errors that are alike over more than the reach of an echo are not smoothed away by any means.
 const MAX_DESIGN_EFFECT: f64 = 4.0;
@@ -217,7 +219,8 @@ impl<'a> Recorded<'a> {
         let design_effect = (sum / count / independent).clamp(1.0, MAX_DESIGN_EFFECT);
         // Geometric means: one rough place of a ring should not leave the noise of all others in.
         let logarithms: Vec<f64> = of_nodes.iter().map(|ratio| ratio.ln()).collect();
-        let of_ring = |mean: &f64| if mean.is_finite() { mean.exp() / design_effect } else { 1.0 };
+        let of_ring =
+            |mean: &f64| if mean.is_finite() { mean.exp().min(MAX_RING) / design_effect } else { 1.0 };
         let of_rings =
             self.averaged_rings(&logarithms, RING_REACHES * reach_mm).iter().map(of_ring).collect();
         Ok(Estimate { descriptions, of_nodes, of_rings })
