@@ -44,7 +44,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "recording")]
     branch: usize,
     /// A section every so many mm [default: 1, or a fiftieth of a vessel shorter than 50 mm]
-    #[arg(long, value_name = "MM", conflicts_with_all = ["recording", "at"])]
+    #[arg(long, value_name = "MM", conflicts_with_all = ["recording", "at"], allow_negative_numbers = true)]
     step: Option<f64>,
     /// Sections only at these places, mm along the axis
     #[arg(
@@ -56,10 +56,10 @@ pub(super) struct Arguments {
     )]
     at: Vec<f64>,
     /// Region of interest: from here on, mm along the axis (a frame with REC)
-    #[arg(long, value_name = "MM|FRAME")]
+    #[arg(long, value_name = "MM|FRAME", allow_negative_numbers = true)]
     from: Option<f64>,
     /// … and up to here
-    #[arg(long, value_name = "MM|FRAME")]
+    #[arg(long, value_name = "MM|FRAME", allow_negative_numbers = true)]
     to: Option<f64>,
     /// Least diameter stenosis of a lesion, %
     #[arg(long, value_name = "PERCENT", default_value_t = 25.0, conflicts_with = "recording")]

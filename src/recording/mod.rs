@@ -22,7 +22,7 @@ pub(crate) use formats::Table;
 pub use mask::{MaskOptions, Masks};
 pub use pullback::{Pullback, PullbackOptions, PullbackPath};
 pub(crate) use screening::{Judged, LiveScreening};
-pub use screening::{LeftOut, NoEcho, Reason, Screened, Screening, UnfitFrames};
+pub use screening::{LeftOut, NoEcho, Reason, RingDown, Screened, Screening, UnfitFrames};
 pub use sequence::{
     CONTOUR_X, CONTOUR_Y, Image, Sequence, SequenceContents, SequenceImages, TransformContents,
 };

@@ -1,5 +1,5 @@
 use super::finding::{Finding, Findings};
-use super::screening::{NoEcho, Reason, Screening};
+use super::screening::{NoEcho, Reason, RingDown, Screening};
 use super::{Frame, Recording};
 use serde::Serialize;
 use std::fmt;
@@ -42,6 +42,10 @@ pub struct Summary {
     pub left_out: usize,
     /// Values of contour points that a reconstruction takes for missing echoes.
     pub no_echo: Vec<NoEcho>,
+    /// Echoes of the catheter itself, which it takes for missing ones.
+    pub ring_down: Option<RingDown>,
+    /// Frames whose contours have no order, whose points it sorts.
+    pub sorted_frames: usize,
     /// Defects and what is suspicious, one entry per kind.
     pub defects: Vec<Finding>,
 }
@@ -113,6 +117,8 @@ impl Summary {
             defects,
             left_out: screening.left_out.len(),
             no_echo: screening.no_echo,
+            ring_down: screening.ring_down,
+            sorted_frames: screening.sorted_frames,
         }
     }
 }
@@ -179,6 +185,16 @@ impl fmt::Display for Summary {
         writeln!(f)?;
         for no_echo in &self.no_echo {
             writeln!(f, "no echo         {no_echo}")?;
+        }
+        if let Some(ring_down) = self.ring_down {
+            writeln!(f, "ring-down       {ring_down}")?;
+        }
+        if self.sorted_frames > 0 {
+            writeln!(
+                f,
+                "order           {} contours without, to be sorted about their centres",
+                self.sorted_frames
+            )?;
         }
         if self.left_out > 0 {
             writeln!(f, "left out        {} frames, by a reconstruction", self.left_out)?;

@@ -122,7 +122,9 @@ impl Sweep {
             *radius -= outward_bias_mm(*radius, tangential_noise_mm);
         }
         let errors = errors.map(|(errors, standard_errors_mm)| {
-            support = Support::of(&prepared.grid, &echoes, &wall);
+            let mut again_s = 0.0;
+            support = timed(&mut again_s, || Support::of(&prepared.grid, &echoes, &wall));
+            seconds.support += again_s;
             support.replace_standard_errors(standard_errors_mm);
             errors
         });

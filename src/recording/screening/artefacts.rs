@@ -1,7 +1,7 @@
 //! What imaging and segmentation add to contours: echoes of the catheter itself, and points without an order.
 
 use crate::numerics::robust::{SD_PER_MAD, median};
-use crate::recording::{Frame, Recording};
+use crate::recording::Frame;
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
@@ -183,16 +183,4 @@ pub(super) fn sorted(frame: &Frame) -> Option<Vec<DVec2>> {
     sorted.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
     sorted.resize(frame.contour_mm.len(), DVec2::NAN);
     Some(sorted)
-}
-
-/// Sorts the points of contours without an order; returns the number of these.
-pub(super) fn sort(recording: &mut Recording) -> usize {
-    let mut count = 0;
-    for frame in &mut recording.frames {
-        if let Some(contour_mm) = sorted(frame) {
-            frame.contour_mm = contour_mm;
-            count += 1;
-        }
-    }
-    count
 }

@@ -297,11 +297,15 @@ fn nearest_kept(is_kept: &[bool]) -> Vec<Option<usize>> {
 
 /// The recording with the points of contours without an order sorted, and the number of these contours.
 fn with_order(recording: Cow<'_, Recording>) -> (Cow<'_, Recording>, usize) {
-    if recording.frames.iter().all(|frame| artefacts::sorted(frame).is_none()) {
+    let sorted: Vec<Option<Vec<DVec2>>> = recording.frames.iter().map(artefacts::sorted).collect();
+    let count = sorted.iter().flatten().count();
+    if count == 0 {
         return (recording, 0);
     }
     let mut recording = recording.into_owned();
-    let count = artefacts::sort(&mut recording);
+    for (frame, contour_mm) in recording.frames.iter_mut().zip(sorted) {
+        frame.contour_mm = contour_mm.unwrap_or_else(|| std::mem::take(&mut frame.contour_mm));
+    }
     (Cow::Owned(recording), count)
 }
 
