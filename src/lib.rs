@@ -45,6 +45,7 @@
 //! | [`reconstruction`] | [`Reconstructor`](reconstruction::Reconstructor) for whole recordings, [`Live`](reconstruction::Live) for one frame at a time |
 //! | [`evaluate`] | distances to a truth surface, volumes |
 //! | [`anatomy`] | a vessel's axis, cross-sections, stenoses and aneurysms |
+//! | [`flow`] | meshes to simulate flow in: remeshed, with flat ends, extensions, caps and numbered faces |
 //! | [`simulate`] | recordings whose truth is known |
 //! | [`study`] | the thesis's experiments, resolution against error and time, benches |
 //! | [`report`] | pictures, plots and pages |
@@ -60,6 +61,7 @@ pub mod cylinders;
 pub mod engine;
 mod error;
 pub mod evaluate;
+pub mod flow;
 pub mod geometry;
 #[cfg(feature = "gpu")]
 pub mod gpu;

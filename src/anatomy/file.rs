@@ -58,7 +58,7 @@ impl VesselTree {
         let of_scalars = names.into_iter().zip(&scalars).map(|(name, values)| (name, 1, values.as_slice()));
         let of_vectors = ["FrenetTangent", "ParallelTransportNormals"].into_iter().zip(&vectors);
         let of_vectors = of_vectors.map(|(name, values)| (name, 3, values.as_slice()));
-        let branches: Vec<i64> = (0..self.axes.len() as i64).collect();
+        let branches: Vec<i32> = (0..self.axes.len() as i32).collect();
         let file = PolyData {
             nodes_mm: &nodes_mm,
             lines: &lines,

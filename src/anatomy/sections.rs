@@ -2,7 +2,7 @@
 
 use super::axis::VesselAxis;
 use super::find::VesselTree;
-use super::uncertainty::{Correlation, Outline};
+use super::uncertainty::{Outline, PointError};
 use crate::evaluate::Locator;
 use crate::geometry::Pose;
 use crate::numerics::robust::median;
@@ -136,6 +136,13 @@ impl LumenSection {
     }
 }
 
+/// The distance of neighbouring nodes, mm, in the mean: where a mesh does not say how far errors are alike, they count as
+/// independent beyond it.
+fn spacing_mm(surface: &Surface) -> f64 {
+    let areas = surface.node_areas_mm2();
+    (areas.iter().sum::<f64>() / areas.len().max(1) as f64).sqrt()
+}
+
 /// Begins the remark about an outline that is not of one branch alone.
 const RUNS_INTO: &str = "the outline runs into branch";
 
@@ -153,7 +160,8 @@ pub struct Sections<'a> {
     cutter: Cutter<'a>,
     locator: Locator,
     standard_error_mm: Option<&'a [f64]>,
-    correlation: Correlation,
+    /// Distance over which errors of nodes are alike, mm: that of each node, or of all.
+    error_reach_mm: Result<&'a [f64], f64>,
     measured: Option<Vec<bool>>,
     tree: Option<&'a VesselTree>,
     /// Of each branch: its median radius in its outer half, mm.
@@ -161,7 +169,7 @@ pub struct Sections<'a> {
 }
 
 impl<'a> Sections<'a> {
-    /// Prepares a surface. Its node arrays `standard_error_mm`, `support`, `residual_mm` and `supported` are used where
+    /// Prepares a surface. Its node arrays `standard_error_mm`, `error_reach_mm`, `support` and `supported` are used where
     /// it has them. The tree tells its branches apart.
     ///
     /// # Errors
@@ -180,7 +188,7 @@ impl<'a> Sections<'a> {
             locator,
             radius_mm,
             standard_error_mm: surface.array("standard_error_mm"),
-            correlation: Correlation::of(surface),
+            error_reach_mm: surface.array("error_reach_mm").ok_or_else(|| spacing_mm(surface)),
             measured,
             tree,
         })
@@ -381,8 +389,12 @@ impl<'a> Sections<'a> {
             z_mm: world.z,
         };
         let standard_errors = self.standard_error_mm.and_then(|of_node| {
-            let errors: Vec<f64> = on_edges.iter().map(|on| on.value(of_node)).collect();
-            let of = Outline::with_errors(&outline.points_mm, centroid, &errors, self.correlation)?;
+            let error = |on: &OnEdge| PointError {
+                standard_error_mm: on.value(of_node),
+                reach_mm: self.error_reach_mm.map_or_else(|all| all, |reach| on.value(reach)),
+            };
+            let errors: Vec<PointError> = on_edges.iter().map(error).collect();
+            let of = Outline::with_errors(&outline.points_mm, centroid, &errors)?;
             let area = of.error_of_area();
             let [least_error, greatest_error] = match chords {
                 Some(chords) => chords.map(|chord| of.error_of_chord(chord.ends_mm)),

@@ -1,47 +1,41 @@
 //! Standard errors of what is measured of an outline, from those of the nodes about it.
 //!
-//! Neighbouring nodes err alike: the fit smooths over a length ℓ. The error of a smoothing spline's value correlates as
-//! ρ(u) = e^(-u/√2ℓ) (cos u/√2ℓ + sin u/√2ℓ) over a distance u, whose integral, 2√2 ℓ, is also that of a thin plate's
-//! along a line. A measure's error is a weighted sum of the errors of the outline's points, so that its variance is a
-//! double sum over them.
+//! Neighbouring nodes err alike. The error of a smoothing spline's value correlates as
+//! ρ(u) = e^(-u/√2ℓ) (cos u/√2ℓ + sin u/√2ℓ) over a distance u. Of an outline of length C, half of which is a = C/2√2ℓ, the
+//! integral of ρ is L = 2√2ℓ (1 - e^-a cos a); nodes have it as `error_reach_mm`. A measure's error is a weighted sum of the
+//! errors of the outline's points, so that its variance is a double sum over them.
 
-use crate::numerics::robust::median;
-use crate::surface::Surface;
 use glam::DVec2;
 
-/// How far errors of nodes are alike.
+/// The error of a point of an outline.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Correlation {
-    /// ℓ, mm.
-    reach_mm: f64,
+pub(super) struct PointError {
+    pub standard_error_mm: f64,
+    /// Distance along the outline over which errors are alike, mm: the integral of their correlation.
+    pub reach_mm: f64,
 }
 
-impl Correlation {
-    /// The correlation that a surface's node arrays imply. A wall that n points per area of standard deviation σ hold has a
-    /// standard error of σ / √(8 n ℓ²): `residual_mm`, `support` and `standard_error_mm` give ℓ, in the median.
-    /// Without them, or where they contradict each other, errors of nodes count as independent over an edge's length.
-    pub(super) fn of(surface: &Surface) -> Self {
-        let areas = surface.node_areas_mm2();
-        let array = |name| surface.array(name).unwrap_or_default();
-        let (residual, support, error) = (array("residual_mm"), array("support"), array("standard_error_mm"));
-        let known = |n: &usize| {
-            let is_positive = |values: &[f64]| values.get(*n).is_some_and(|&v| v > 0.0 && v.is_finite());
-            is_positive(residual) && is_positive(error)
-        };
-        let nodes: Vec<usize> = (0..areas.len()).filter(known).collect();
-        let of = |values: &[f64], n: usize| values.get(n).copied().unwrap_or(0.0);
-        let points: f64 = nodes.iter().map(|&n| of(support, n)).sum();
-        let area_mm2: f64 = nodes.iter().map(|&n| areas[n]).sum();
-        let mut ratios: Vec<f64> = nodes.iter().map(|&n| (residual[n] / error[n]).powi(2)).collect();
-        let spacing = (2.0 * areas.iter().sum::<f64>() / areas.len().max(1) as f64).sqrt();
-        let reach = (median(&mut ratios) * area_mm2 / (8.0 * points)).sqrt();
-        Self { reach_mm: if reach.is_finite() { reach.max(spacing / 2.0) } else { spacing } }
+/// √2ℓ, mm, of a reach L on an outline of length C.
+fn decay_mm(reach_mm: f64, outline_mm: f64) -> f64 {
+    let integral = |decay: f64| {
+        let a = outline_mm / (2.0 * decay);
+        2.0 * decay * (1.0 - (-a).exp() * a.cos())
+    };
+    // The integral exceeds an infinite line's, 2√2ℓ, by at most 7 %, and tends to C.
+    let (mut low, mut high) = (reach_mm / 4.0, reach_mm / 2.0);
+    while integral(high) < reach_mm && high < 1e3 * outline_mm {
+        high *= 2.0;
     }
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if integral(middle) < reach_mm { low = middle } else { high = middle }
+    }
+    high
+}
 
-    fn at(self, distance_mm: f64) -> f64 {
-        let u = distance_mm / (self.reach_mm * std::f64::consts::SQRT_2);
-        if u > 30.0 { 0.0 } else { (-u).exp() * (u.cos() + u.sin()) }
-    }
+fn correlation(distance_mm: f64, decay_mm: f64) -> f64 {
+    let u = distance_mm / decay_mm;
+    if u > 30.0 { 0.0 } else { (-u).exp() * (u.cos() + u.sin()) }
 }
 
 /// An outline whose points err along their rays from its centroid.
@@ -57,10 +51,10 @@ impl<'a> Outline<'a> {
     pub(super) fn with_errors(
         points_mm: &'a [DVec2],
         centroid_mm: DVec2,
-        errors_mm: &[f64],
-        correlation: Correlation,
+        errors: &[PointError],
     ) -> Option<Self> {
-        if errors_mm.iter().any(|e| !e.is_finite()) {
+        let is_known = |e: &PointError| e.standard_error_mm.is_finite() && e.reach_mm > 0.0;
+        if !errors.iter().all(is_known) {
             return None;
         }
         let count = points_mm.len();
@@ -69,11 +63,13 @@ impl<'a> Outline<'a> {
             along[i + 1] = along[i] + points_mm[i].distance(points_mm[(i + 1) % count]);
         }
         let whole = along[count];
+        let decays: Vec<f64> = errors.iter().map(|error| decay_mm(error.reach_mm, whole)).collect();
         let mut covariance = vec![0.0; count * count];
         for i in 0..count {
             for j in i..count {
                 let apart = along[j] - along[i];
-                let value = errors_mm[i] * errors_mm[j] * correlation.at(apart.min(whole - apart));
+                let alike = correlation(apart.min(whole - apart), 0.5 * (decays[i] + decays[j]));
+                let value = errors[i].standard_error_mm * errors[j].standard_error_mm * alike;
                 covariance[i * count + j] = value;
                 covariance[j * count + i] = value;
             }
@@ -163,26 +159,31 @@ mod tests {
     #[test]
     fn errors_of_a_circle_are_those_of_the_formulas() {
         let points = circle(10.0, 400);
-        let (sd, reach) = (0.1, 1.5);
-        let errors = vec![sd; points.len()];
-        let of =
-            |reach_mm| Outline::with_errors(&points, DVec2::ZERO, &errors, Correlation { reach_mm }).unwrap();
-        let outline = of(reach);
-        // ∮∮ ρ: the circumference times 2√2 ℓ.
-        let area = sd * (TAU * 10.0 * 8.0_f64.sqrt() * reach).sqrt();
-        assert!((outline.error_of_area() / area - 1.0).abs() < 0.01, "{} {area}", outline.error_of_area());
-        // 2π times the error of the mean radius.
-        assert!((outline.error_of_perimeter() / (area / 10.0) - 1.0).abs() < 0.01);
-        let chord = outline.error_of_chord([DVec2::X * 10.0, DVec2::X * -10.0]);
+        let sd = 0.1;
+        let with =
+            |standard_error_mm, reach_mm| vec![PointError { standard_error_mm, reach_mm }; points.len()];
+        let of = |reach_mm| Outline::with_errors(&points, DVec2::ZERO, &with(sd, reach_mm)).unwrap();
+        for reach in [1.0, 4.0, 12.0, 30.0] {
+            let outline = of(reach);
+            // ∮∮ ρ: the circumference times the reach.
+            let area = sd * (TAU * 10.0 * reach).sqrt();
+            assert!(
+                (outline.error_of_area() / area - 1.0).abs() < 0.01,
+                "{} {area}",
+                outline.error_of_area()
+            );
+            // 2π times the error of the mean radius.
+            assert!((outline.error_of_perimeter() / (area / 10.0) - 1.0).abs() < 0.01);
+            let [x, y] = outline.errors_of_centroid(100.0 * TAU / 2.0);
+            assert!((x / y - 1.0).abs() < 0.01 && x < sd, "{x} {y}");
+        }
+        let chord = of(4.0).error_of_chord([DVec2::X * 10.0, DVec2::X * -10.0]);
         assert!((chord / (sd * 2.0_f64.sqrt()) - 1.0).abs() < 0.01, "{chord}");
         // Errors that are all alike make a larger circle.
-        assert!((of(1e6).error_of_area() / (sd * TAU * 10.0) - 1.0).abs() < 0.01);
-        assert!((of(1e6).error_of_circle(DVec2::ZERO, 10.0) / (2.0 * sd) - 1.0).abs() < 0.01);
-        let [x, y] = outline.errors_of_centroid(100.0 * TAU / 2.0);
-        assert!((x / y - 1.0).abs() < 0.01 && x < sd, "{x} {y}");
-        let unknown = vec![f64::INFINITY; points.len()];
-        assert!(
-            Outline::with_errors(&points, DVec2::ZERO, &unknown, Correlation { reach_mm: 1.0 }).is_none()
-        );
+        assert!((of(TAU * 10.0).error_of_area() / (sd * TAU * 10.0) - 1.0).abs() < 0.01);
+        assert!((of(TAU * 10.0).error_of_circle(DVec2::ZERO, 10.0) / (2.0 * sd) - 1.0).abs() < 0.01);
+        for unknown in [with(f64::INFINITY, 1.0), with(sd, f64::NAN)] {
+            assert!(Outline::with_errors(&points, DVec2::ZERO, &unknown).is_none());
+        }
     }
 }

@@ -1,8 +1,11 @@
 use super::axis::tree_of;
+use super::report::{check_page_ending, name_of, typed};
 use super::space::{SpaceArgument, can_carry_arrays};
 use super::{Shown, print_json, refuse_inputs};
 use crate::anatomy::{Overlap, places};
 use crate::evaluate::{Distances, Truth, evaluate};
+use crate::output::write_atomically;
+use crate::report::{Comparison, comparison_page};
 use crate::surface::Surface;
 use crate::{Error, Result};
 use serde::Serialize;
@@ -17,6 +20,7 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:
   lumenmesh compare before.vtp after.vtp
   lumenmesh compare sweep.vtp cylinders.vtp --step 0.5 --out difference.vtp
+  lumenmesh compare before.vtp after.vtp --page stent.html
   lumenmesh compare diastole.stl systole.stl --json | jq .overlap.dice
 
 The colour map of --out is A with the distance to B as node arrays error_mm and signed_error_mm (positive: A lies outside
@@ -35,6 +39,9 @@ pub(super) struct Arguments {
     /// Write A with its distances to B: .vtp, .ply or .mat
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Write all of it as one page: .html
+    #[arg(long, value_name = "HTML")]
+    page: Option<PathBuf>,
     #[command(flatten)]
     space: SpaceArgument,
     /// Print JSON instead of text
@@ -58,7 +65,11 @@ struct Output<'a> {
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         self.out.as_deref().map_or(Ok(()), can_carry_arrays)?;
-        refuse_inputs([self.out.as_deref()], [Some(&*self.a), Some(&*self.b), self.axis.as_deref()])?;
+        self.page.as_deref().map_or(Ok(()), check_page_ending)?;
+        refuse_inputs(
+            [self.out.as_deref(), self.page.as_deref()],
+            [Some(&*self.a), Some(&*self.b), self.axis.as_deref()],
+        )?;
         let read = |path| Surface::read(path).map(Surface::joined);
         let (mut surface_a, surface_b) = (read(&self.a)?, read(&self.b)?);
         let tree_a = tree_of(&surface_a, &self.a, self.axis.as_deref())?;
@@ -76,9 +87,18 @@ impl Arguments {
             let expected = "two vessels in the same place, in the same frame of reference";
             return Err(Error::input(&self.b, "lumen", found, expected));
         }
+        forth.colour(&mut surface_a);
         if let Some(out) = &self.out {
-            forth.colour(&mut surface_a);
             self.space.write(&surface_a, out)?;
+        }
+        if let Some(path) = &self.page {
+            let [a, b] = [&self.a, &self.b].map(|path| name_of(path));
+            let distances = [forth.mesh_to_truth, back.mesh_to_truth];
+            let command = typed();
+            let content =
+                Comparison::new([&a, &b], &surface_a, distances, forth.signed_mean_mm, &overlap, &command);
+            let page = comparison_page(&content)?;
+            write_atomically(path, |w| w.write_all(page.as_bytes()))?;
         }
         let output = Output {
             a: Shown(&self.a),
@@ -125,6 +145,9 @@ impl Arguments {
         print!("{text}");
         if let Some(out) = &self.out {
             println!("colour map          {}", out.display());
+        }
+        if let Some(page) = &self.page {
+            println!("page                {}", page.display());
         }
         Ok(())
     }

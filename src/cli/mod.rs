@@ -25,6 +25,7 @@ mod experiments;
 mod import;
 mod info;
 mod manual;
+mod mesh;
 mod progress;
 mod reconstruct;
 mod render;
@@ -62,6 +63,7 @@ enum Command {
     Axis(axis::Arguments),
     Sections(sections::Arguments),
     Compare(compare::Arguments),
+    Mesh(mesh::Arguments),
     Info(info::Arguments),
     Import(import::Arguments),
     Convert(convert::Arguments),
@@ -104,6 +106,7 @@ pub fn main() -> ExitCode {
         Command::Axis(arguments) => arguments.run(),
         Command::Sections(arguments) => arguments.run(),
         Command::Compare(arguments) => arguments.run(),
+        Command::Mesh(arguments) => arguments.run(),
         Command::Info(arguments) => arguments.run(),
         Command::Import(arguments) => arguments.run(),
         Command::Convert(arguments) => arguments.run(),

@@ -7,7 +7,7 @@ use crate::recording::Screened;
 use crate::report::{PageContent, html};
 use crate::surface::Surface;
 use crate::{Error, Result};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Reconstruct a recording and show how well it went, as one HTML page
 ///
@@ -37,10 +37,7 @@ pub(super) struct Arguments {
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
         let settings = self.settings.settings()?;
-        if ending(&self.output) != "html" {
-            let ending = ending(&self.output);
-            return Err(Error::UnknownEnding { path: self.output, ending, expected: ".html" });
-        }
+        check_page_ending(&self.output)?;
         refuse_inputs(
             [Some(&*self.output)],
             [Some(&*self.recording), self.truth.as_deref()].into_iter().chain(self.settings.inputs()),
@@ -62,11 +59,7 @@ impl Arguments {
                 evaluate_covered(&lumen.surface(), truth, &coverage)
             })
             .transpose()?;
-        let name = self
-            .recording
-            .file_name()
-            .map_or_else(|| self.recording.display().to_string(), |name| name.to_string_lossy().into_owned());
-        let (title, command) = (format!("Reconstruction of {name}"), typed());
+        let (title, command) = (format!("Reconstruction of {}", name_of(&self.recording)), typed());
         let mut content = PageContent::new(&title, &recording, &lumen, &command);
         if let Some((truth, evaluation)) = truth.as_ref().zip(evaluation.as_ref()) {
             content = content.with_truth(truth, evaluation);
@@ -92,8 +85,21 @@ impl Arguments {
     }
 }
 
+/// Refuses a file name that is not that of a page.
+pub(super) fn check_page_ending(path: &Path) -> Result<()> {
+    match ending(path).as_str() {
+        "html" => Ok(()),
+        ending => Err(Error::UnknownEnding { path: path.into(), ending: ending.into(), expected: ".html" }),
+    }
+}
+
+/// A file's name, for a page.
+pub(super) fn name_of(path: &Path) -> String {
+    path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
+}
+
 /// The command as it was typed.
-fn typed() -> String {
+pub(super) fn typed() -> String {
     let arguments = std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned());
     let quoted = arguments.map(|a| if a.contains(' ') { format!("'{a}'") } else { a });
     std::iter::once("lumenmesh".into()).chain(quoted).collect::<Vec<String>>().join(" ")

@@ -1,5 +1,6 @@
 //! Pictures of meshes, plots, and HTML pages of both.
 
+mod anatomy;
 mod cylinders;
 mod experiments;
 mod page;
@@ -11,6 +12,7 @@ mod study;
 mod sweep;
 mod viewer;
 
+pub use anatomy::{Comparison, comparison_page};
 pub use experiments::{experiments_page, tables};
 pub use page::Table;
 pub use reconstruction::{PageContent, html};

@@ -4,8 +4,9 @@ use super::page::{Page, Table};
 use super::plot::{Violin, violins};
 use super::render::Style;
 use super::rows::{VIOLIN, facts};
-use super::{cylinders, sweep};
+use super::{anatomy, cylinders, sweep};
 use crate::Result;
+use crate::anatomy::VesselTree;
 use crate::evaluate::{self, Evaluation, Truth};
 use crate::reconstruction::{Lumen, LumenReport};
 use crate::recording::{LeftOut, MinMedianMax, Recording, Summary};
@@ -40,7 +41,7 @@ impl<'a> PageContent<'a> {
 }
 
 /// One reconstruction as a self-contained HTML page: summary, error distribution, the vessel in colours from three
-/// sides, coverage, noise, settings and how to reproduce it; of cylinders convergence too.
+/// sides, areas and diameters with lesions, coverage, noise, settings and how to reproduce it; of cylinders convergence too.
 ///
 /// # Errors
 /// Where a figure has nothing to show or settings have no TOML form.
@@ -95,6 +96,7 @@ pub fn html(content: &PageContent) -> Result<String> {
     };
     page.mesh(&mesh, &style, caption)?;
 
+    anatomy::sections(&mut page, &mesh, VesselTree::of_lumen(lumen, &mesh))?;
     if let Some(reconstruction) = lumen.cylinders() {
         cylinders::coverage(&mut page, &reconstruction.vessel.rings)?;
         cylinders::noise(&mut page, reconstruction)?;

@@ -121,11 +121,11 @@ impl Sweep {
         for radius in &mut wall.radii_mm {
             *radius -= outward_bias_mm(*radius, tangential_noise_mm);
         }
-        let errors = errors.map(|(errors, standard_errors_mm)| {
+        let errors = errors.map(|(errors, of_nodes)| {
             let mut again_s = 0.0;
             support = timed(&mut again_s, || Support::of(&prepared.grid, &echoes, &wall));
             seconds.support += again_s;
-            support.replace_standard_errors(standard_errors_mm);
+            support.replace_errors(of_nodes);
             errors
         });
         if !surface::has_support(prepared.grid.nodes, prepared.grid.rings, &support) {
@@ -148,8 +148,8 @@ impl Sweep {
     }
 
     /// The vessel as a triangle surface, normals outward, open at its ends; without the nodes that are not
-    /// supported unless `keep_unsupported`. Arrays: `support` (echoes), `residual_mm`, `standard_error_mm`, `frame`
-    /// (last seen), `supported` (1 or 0).
+    /// supported unless `keep_unsupported`. Arrays: `support` (echoes), `residual_mm`, `standard_error_mm`,
+    /// `error_reach_mm`, `frame` (last seen), `supported` (1 or 0).
     pub fn surface(&self, keep_unsupported: bool) -> Surface {
         let rings = 0..self.axis.rings();
         let radius_mm = |node: usize| self.radii_mm[node];

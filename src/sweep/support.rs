@@ -21,6 +21,9 @@ pub struct Support {
     pub residual_mm: Vec<f64>,
     /// Standard error of the radius, mm; infinite without echoes about the node.
     pub standard_error_mm: Vec<f64>,
+    /// Distance around the lumen over which errors are alike, mm: the integral of their correlation along a ring. An area's
+    /// standard error follows from it. NaN where the standard error is infinite.
+    pub error_reach_mm: Vec<f64>,
     /// The last frame with an echo of the wall there.
     pub last_frame: Vec<Option<u32>>,
     /// Whether the wall there was measured rather than extrapolated: the standard error is at most 1 % of the lumen's
@@ -46,6 +49,7 @@ impl Support {
             echoes: Vec::new(),
             residual_mm: Vec::new(),
             standard_error_mm: Vec::new(),
+            error_reach_mm: Vec::new(),
             last_frame: Vec::new(),
             supported: Vec::new(),
         }
@@ -53,17 +57,18 @@ impl Support {
 
     /// Whether there is a value for each of so many nodes.
     pub(super) fn is_of(&self, nodes: usize) -> bool {
-        let Self { echoes, residual_mm, standard_error_mm, last_frame, supported } = self;
-        [echoes.len(), residual_mm.len(), standard_error_mm.len(), last_frame.len(), supported.len()]
-            == [nodes; 5]
+        let Self { echoes, residual_mm, standard_error_mm, error_reach_mm, last_frame, supported } = self;
+        [residual_mm.len(), standard_error_mm.len(), error_reach_mm.len()] == [nodes; 3]
+            && [echoes.len(), last_frame.len(), supported.len()] == [nodes; 3]
     }
 
-    /// Replaces the standard errors of the nodes with echoes about them.
-    pub(super) fn replace_standard_errors(&mut self, standard_errors_mm: Vec<f64>) {
-        for (old, new) in self.standard_error_mm.iter_mut().zip(standard_errors_mm) {
-            if old.is_finite() {
-                *old = new;
-            }
+    /// Replaces the errors of the nodes with echoes about them.
+    pub(super) fn replace_errors(&mut self, errors: NodeErrors) {
+        let NodeErrors { standard_error_mm, reach_mm } = errors;
+        let has_echoes: Vec<bool> = self.standard_error_mm.iter().map(|e| e.is_finite()).collect();
+        for node in (0..self.standard_error_mm.len()).filter(|&n| has_echoes[n]) {
+            self.standard_error_mm[node] = standard_error_mm[node];
+            self.error_reach_mm[node] = reach_mm[node];
         }
     }
 
@@ -73,6 +78,7 @@ impl Support {
         self.echoes.splice(at..at, repeat_n(0, count));
         self.residual_mm.splice(at..at, repeat_n(f64::NAN, count));
         self.standard_error_mm.splice(at..at, repeat_n(f64::INFINITY, count));
+        self.error_reach_mm.splice(at..at, repeat_n(f64::NAN, count));
         self.last_frame.splice(at..at, repeat_n(None, count));
         self.supported.splice(at..at, repeat_n(false, count));
     }
@@ -92,7 +98,7 @@ impl Support {
         let density = median(&mut tally.own().filter(|&n| n > 0.0).collect::<Vec<_>>()) / grid.cell_mm2();
         let statistics = tally.statistics(grid, density, wall.smoothness_mm2, 0.0);
         let mut errors: Vec<f64> =
-            statistics.standard_error_mm.iter().copied().filter(|e| e.is_finite()).collect();
+            statistics.errors.standard_error_mm.iter().copied().filter(|e| e.is_finite()).collect();
         let max_mm = max_error_mm(median(&mut errors), grid);
         let farthest_mm = echoes
             .iter()
@@ -103,12 +109,13 @@ impl Support {
             echoes: tally.own().map(|n| n as u32).collect(),
             supported: (0..grid.node_count())
                 .map(|node| {
-                    let is_near = statistics.standard_error_mm[node] <= max_mm;
+                    let is_near = statistics.errors.standard_error_mm[node] <= max_mm;
                     is_near && !statistics.is_mouth[node] && is_in_reach(node)
                 })
                 .collect(),
             residual_mm: statistics.residual_mm,
-            standard_error_mm: statistics.standard_error_mm,
+            standard_error_mm: statistics.errors.standard_error_mm,
+            error_reach_mm: statistics.errors.reach_mm,
             last_frame: tally.last_frame,
         }
     }
@@ -134,10 +141,17 @@ pub(super) struct Tally {
     pub(super) last_frame: Vec<Option<u32>>,
 }
 
+/// Errors of the radii, node by node.
+pub(super) struct NodeErrors {
+    pub standard_error_mm: Vec<f64>,
+    /// Distance around the lumen over which they are alike, mm.
+    pub reach_mm: Vec<f64>,
+}
+
 /// Statistics of a [`Tally`] for each node.
 pub(super) struct NodeStatistics {
     pub residual_mm: Vec<f64>,
-    pub standard_error_mm: Vec<f64>,
+    pub errors: NodeErrors,
     /// Whether most echoes about the node lie off the wall.
     pub is_mouth: Vec<bool>,
 }
@@ -216,9 +230,17 @@ impl Tally {
             let plate = noise_mm2 / (8.0 * (smoothness_mm2 * about[node].sum / window_mm2).sqrt());
             (plate * about[node].leverage()).sqrt()
         };
+        // Its errors correlate along a line as e^(-u/√2ℓ) (cos u/√2ℓ + sin u/√2ℓ), whose integral is 2√2 ℓ.
+        let error_reach = |node: usize| match about[node].sum {
+            0.0 => f64::NAN,
+            sum => 8.0_f64.sqrt() * (smoothness_mm2 * window_mm2 / sum).powf(0.25),
+        };
         NodeStatistics {
             residual_mm: (0..count).map(|node| variance(node).sqrt()).collect(),
-            standard_error_mm: (0..count).map(standard_error).collect(),
+            errors: NodeErrors {
+                standard_error_mm: (0..count).map(standard_error).collect(),
+                reach_mm: (0..count).map(error_reach).collect(),
+            },
             is_mouth: (0..count)
                 .map(|node| off_wall[node].sum / (off_wall[node].sum + about[node].sum) > MAX_OFF_WALL)
                 .collect(),

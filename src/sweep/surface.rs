@@ -23,7 +23,7 @@ pub(super) fn has_support(nodes: usize, rings: usize, support: &Support) -> bool
 }
 
 /// Some rings of a wall as triangles, normals outward: the supported ones, or all with `keep_unsupported`. Arrays:
-/// `support` (echoes), `residual_mm`, `standard_error_mm`, `frame` (the last one), `supported` (1 or 0).
+/// `support` (echoes), `residual_mm`, `standard_error_mm`, `error_reach_mm`, `frame` (the last one), `supported` (1 or 0).
 pub(super) fn surface(
     axis: &Axis,
     nodes: usize,
@@ -46,13 +46,14 @@ pub(super) fn surface(
         |&n: &usize| axis.point_mm(n / nodes, TAU * (n % nodes) as f64 / nodes as f64, radius_mm(n));
     let mut surface =
         Surface { nodes_mm: kept.iter().map(position).collect(), triangles, arrays: Vec::new() };
-    let Support { echoes, residual_mm, standard_error_mm, last_frame, supported } = support;
+    let Support { echoes, residual_mm, standard_error_mm, error_reach_mm, last_frame, supported } = support;
     let mut array = |name, value: &dyn Fn(usize) -> f64| {
         surface.set_array(name, kept.iter().map(|&n| value(n)).collect());
     };
     array("support", &|n| f64::from(echoes[n]));
     array("residual_mm", &|n| residual_mm[n]);
     array("standard_error_mm", &|n| standard_error_mm[n]);
+    array("error_reach_mm", &|n| error_reach_mm[n]);
     array("frame", &|n| last_frame[n].map_or(f64::NAN, f64::from));
     array("supported", &|n| f64::from(u8::from(supported[n])));
     surface

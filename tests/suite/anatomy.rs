@@ -222,7 +222,15 @@ fn intervals_hold_the_truth_in_200_seeds() {
         errors.push(median(areas.iter().map(|a| a[0].abs()).collect()));
         let least = profile.minimal_area_mm2.unwrap();
         let truth = PI * 5.5_f64.powi(2);
-        worst = worst.max((least.value / truth - 1.0).abs());
+        let off = (least.value / truth - 1.0).abs();
+        if off > 0.02 {
+            println!(
+                "seed {seed}: the minimal area is {:.2} % off, at {:.1} mm",
+                100.0 * off,
+                profile.minimal_area_at_mm.unwrap()
+            );
+        }
+        worst = worst.max(off);
         least_held += usize::from((least.low..=least.high).contains(&truth));
         let percent = profile.lesions.first().map(|l| l.diameter_stenosis_percent);
         stenosis_held += usize::from(percent.is_some_and(|p| (p.low..=p.high).contains(&45.0)));
@@ -236,8 +244,7 @@ fn intervals_hold_the_truth_in_200_seeds() {
         100.0 * median(errors),
         100.0 * worst
     );
-    // The aim is 0.90 to 0.98: errors of areas are half as large again as their standard errors.
-    assert!((0.80..=0.98).contains(&share), "{share}");
+    assert!((0.90..=0.98).contains(&share), "{share}");
 }
 
 #[test]

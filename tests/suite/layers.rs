@@ -37,6 +37,7 @@ const ORDER: &[&str] = &[
     "reconstruction",
     "evaluate",
     "anatomy",
+    "flow",
     "simulate",
     "study",
     "report",

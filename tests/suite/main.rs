@@ -18,6 +18,8 @@ mod evaluate;
 mod evaluate_command;
 #[cfg(feature = "cli")]
 mod experiments;
+#[cfg(feature = "cli")]
+mod flow;
 mod golden;
 #[cfg(feature = "cli")]
 mod import;

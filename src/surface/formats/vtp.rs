@@ -621,7 +621,7 @@ pub(crate) struct PolyData<'a> {
     /// Name, numbers per node, and numbers.
     pub node_arrays: Vec<(&'a str, usize, &'a [f64])>,
     /// Name and a whole number for each line and then for each triangle.
-    pub cell_arrays: Vec<(&'a str, &'a [i64])>,
+    pub cell_arrays: Vec<(&'a str, &'a [i32])>,
 }
 
 pub(in crate::surface) fn write(surface: &Surface, space: Space, w: &mut dyn Write) -> std::io::Result<()> {
@@ -659,7 +659,7 @@ impl PolyData<'_> {
         if !self.cell_arrays.is_empty() {
             writeln!(w, "<CellData>")?;
             for (name, values) in &self.cell_arrays {
-                write_array(w, "Int64", name, 1, values.iter().map(|x| x.to_le_bytes()))?;
+                write_array(w, "Int32", name, 1, values.iter().map(|x| x.to_le_bytes()))?;
             }
             writeln!(w, "</CellData>")?;
         }
@@ -713,12 +713,12 @@ pub(in crate::surface) fn parse_lines(path: &Path, bytes: &[u8]) -> Result<Vec<V
     Ok(lines)
 }
 
-fn write_array(
+fn write_array<const SIZE: usize>(
     w: &mut dyn Write,
     number: &str,
     name: &str,
     components: usize,
-    values: impl Iterator<Item = [u8; 8]>,
+    values: impl Iterator<Item = [u8; SIZE]>,
 ) -> std::io::Result<()> {
     let mut block = vec![0; 8];
     values.for_each(|value| block.extend(value));

@@ -15,7 +15,7 @@ mod smoother;
 use super::prepare::Prepared;
 use super::prepare::echo::Echo;
 use super::prepare::grid::WallGrid;
-use super::support::Support;
+use super::support::{NodeErrors, Support};
 use super::wall::bending::LocalSmoothness;
 use super::wall::engine::refit;
 use super::wall::fit::Wall;
@@ -90,6 +90,8 @@ const WIDTHS_DEG: [f64; 2] = [20.0, 40.0];
 const MIN_RATIO: f64 = 0.16;
 const MIN_NODE: f64 = 0.25;
 const MAX_RATIO: f64 = 64.0;
+/// Least squared roughness that the sums of rings show.
+const MIN_SUM: f64 = 0.04;
 /// Largest squared roughness of a ring that smoothing follows: at the mouths of branches echoes of these make it seem rough.
 const MAX_RING: f64 = 4.0;
 /// Largest design effect that smoothing makes up for: the variance of a wall whose echoes err alike, in units of that where
@@ -111,6 +113,8 @@ struct Estimate {
     of_nodes: Vec<f64>,
     /// The same of each ring, over the design effect: the inverse of the factor of λ.
     of_rings: Vec<f64>,
+    /// Squared roughness that the sums of rings show: what makes a whole ring too narrow or too wide.
+    of_sums: Vec<f64>,
 }
 
 /// Estimates the errors of a recording, fits the wall again with a smoothness that follows its roughness, and replaces the
@@ -121,7 +125,7 @@ pub(super) fn estimate(
     echoes: &mut [Echo],
     wall: &mut Wall,
     support: &Support,
-) -> Result<Option<(RecordingErrors, Vec<f64>)>> {
+) -> Result<Option<(RecordingErrors, NodeErrors)>> {
     let Prepared { grid, frames, .. } = prepared;
     let roughness = settings.roughness;
     let perfect = wall.noise_mm.is_nan() || wall.noise_mm <= 1e-9 * grid.radius_mm();
@@ -137,11 +141,11 @@ pub(super) fn estimate(
     } else {
         estimate.of_rings.fill(1.0);
     }
-    let standard_errors_mm = recording.standard_errors_mm(&estimate, roughness, echoes, wall)?;
+    let of_nodes = recording.node_errors(&estimate, roughness, echoes, wall)?;
     let of_supported = estimate.of_nodes.iter().zip(&support.supported).filter(|(_, s)| **s);
     let median_ratio = median(&mut of_supported.map(|(ratio, _)| *ratio).collect::<Vec<_>>());
     let errors = RecordingErrors::of(&estimate.descriptions, roughness * median_ratio.sqrt());
-    Ok(Some((errors, standard_errors_mm)))
+    Ok(Some((errors, of_nodes)))
 }
 
 /// A recording about its grid.
@@ -202,15 +206,17 @@ impl<'a> Recorded<'a> {
             })
             .collect::<Result<_>>()?;
         let [errors, noise, bends] = [0, 1, 2].map(|i| mean_squares(fields.iter().map(|field| &field[i])));
-        let found: Vec<f64> = smoother.wall(&residuals_mm)?.iter().map(|x| x * x).collect();
+        let found_mm = smoother.wall(&residuals_mm)?;
+        let found: Vec<f64> = found_mm.iter().map(|x| x * x).collect();
         let reach_mm = self.reach_mm(echoes, wall);
         let about = [found, noise, bends].map(|field| self.averaged(&field, NODE_REACHES * reach_mm));
-        let ratio = |n: usize| {
-            let [found, noise, bends] = [0, 1, 2].map(|i| about[i][n]);
+        let ratio = |least: f64, found: f64, noise: f64, bends: f64| {
             let ratio = (found - noise) / bends;
-            if ratio.is_finite() { ratio.clamp(MIN_RATIO, MAX_RATIO) } else { 1.0 }
+            if ratio.is_finite() { ratio.clamp(least, MAX_RATIO) } else { 1.0 }
         };
-        let of_nodes: Vec<f64> = (0..self.grid.node_count()).map(ratio).collect();
+        let [found, noise, bends] = &about;
+        let of_nodes: Vec<f64> =
+            (0..self.grid.node_count()).map(|n| ratio(MIN_RATIO, found[n], noise[n], bends[n])).collect();
 
         // Echoes of the standard deviation σ that err independently give the wall the variance (σℓ)²/16λ.
         let independent = (wall.noise_mm * reach_mm).powi(2) / (16.0 * wall.smoothness_mm2);
@@ -223,7 +229,22 @@ impl<'a> Recorded<'a> {
             |mean: &f64| if mean.is_finite() { mean.exp().min(MAX_RING) / design_effect } else { 1.0 };
         let of_rings =
             self.averaged_rings(&logarithms, RING_REACHES * reach_mm).iter().map(of_ring).collect();
-        Ok(Estimate { descriptions, of_nodes, of_rings })
+        let weights = gaussian(RING_REACHES * reach_mm / self.grid.step_mm, self.grid.rings);
+        let sums_of = |kind: usize| mean(fields.iter().map(|field| self.squared_sums(&field[kind])));
+        let [found, noise, bends] = [self.squared_sums(&found_mm), sums_of(1), sums_of(2)]
+            .map(|sums| smoothed_along(&weights, &sums));
+        let of_sums = (0..self.grid.rings).map(|k| ratio(MIN_SUM, found[k], noise[k], bends[k])).collect();
+        Ok(Estimate { descriptions, of_nodes, of_rings, of_sums })
+    }
+
+    /// Of each ring: the square of the sum over its supported nodes.
+    fn squared_sums(&self, field: &[f64]) -> Vec<f64> {
+        let nodes = self.grid.nodes;
+        let of_ring = |(ring, supported): (&[f64], &[bool])| {
+            let sum: f64 = ring.iter().zip(supported).filter(|(_, s)| **s).map(|(x, _)| x).sum();
+            sum * sum
+        };
+        field.chunks_exact(nodes).zip(self.supported.chunks_exact(nodes)).map(of_ring).collect()
     }
 
     /// Descriptions of the errors by which the moments of the residuals are explained, the best one first.
@@ -323,16 +344,16 @@ impl<'a> Recorded<'a> {
         errors_mm
     }
 
-    fn standard_errors_mm(
+    fn node_errors(
         &self,
         estimate: &Estimate,
         roughness: f64,
         echoes: &[Echo],
         wall: &Wall,
-    ) -> Result<Vec<f64>> {
+    ) -> Result<NodeErrors> {
         let linearised = linearised(self.grid, echoes, wall);
         let smoother = Smoother::of(self.grid, &linearised, wall.smoothness_mm2, roughness)?;
-        let Estimate { descriptions, of_nodes, of_rings } = estimate;
+        let Estimate { descriptions, of_nodes, of_rings, of_sums } = estimate;
         let fields: Vec<[Vec<f64>; 2]> = (0..VARIANCE_DRAWS)
             .into_par_iter()
             .map(|draw| {
@@ -344,10 +365,26 @@ impl<'a> Recorded<'a> {
         let reach_mm = VARIANCE_REACHES * self.reach_mm(echoes, wall);
         let noise = self.averaged(&mean_squares(fields.iter().map(|[noise, _]| noise)), reach_mm);
         let bends = self.averaged(&mean_squares(fields.iter().map(|[_, bends]| bends)), reach_mm);
-        let nodes = self.grid.nodes;
-        Ok((0..noise.len())
-            .map(|n| (noise[n] + bends[n] * of_nodes[n].max(MIN_NODE) / of_rings[n / nodes]).sqrt())
-            .collect())
+        let WallGrid { nodes, rings, arc_mm, .. } = *self.grid;
+        let roughness_of = |n: usize| of_nodes[n].max(MIN_NODE) / of_rings[n / nodes];
+        let variance = |n: usize| noise[n] + bends[n] * roughness_of(n);
+        // The variance of a ring's sum is that of its nodes, added up, times the number of nodes that err alike.
+        let sums_of = |kind: usize| mean(fields.iter().map(|field| self.squared_sums(&field[kind])));
+        let (noise_sums, bend_sums) = (sums_of(0), sums_of(1));
+        let of_sum = |k: usize| noise_sums[k] + bend_sums[k] * of_sums[k] / of_rings[k];
+        let of_each =
+            |k: usize| (k * nodes..(k + 1) * nodes).filter(|&n| self.supported[n]).map(variance).sum::<f64>();
+        let weights = gaussian(reach_mm / self.grid.step_mm, rings);
+        let [of_sums, of_each] = [(0..rings).map(of_sum).collect(), (0..rings).map(of_each).collect()]
+            .map(|rings: Vec<f64>| smoothed_along(&weights, &rings));
+        let alike = |k: usize| {
+            let count = of_sums[k] / of_each[k];
+            if count.is_finite() { count.clamp(1.0, nodes as f64) } else { 1.0 }
+        };
+        Ok(NodeErrors {
+            standard_error_mm: (0..noise.len()).map(|n| variance(n).sqrt()).collect(),
+            reach_mm: (0..noise.len()).map(|n| arc_mm * alike(n / nodes)).collect(),
+        })
     }
 
     /// The reach of an echo, mm: `(λ/ρ)^¼` for ρ echoes per area of supported wall.
@@ -424,6 +461,17 @@ fn both_sides(k: usize, offset: usize, count: usize) -> impl Iterator<Item = usi
     before.into_iter().chain(after)
 }
 
+/// Weighted sums about each value.
+fn smoothed_along(weights: &[f64], values: &[f64]) -> Vec<f64> {
+    let about = |k: usize| {
+        let of = |(offset, weight): (usize, &f64)| {
+            both_sides(k, offset, values.len()).map(|other| weight * values[other]).sum::<f64>()
+        };
+        weights.iter().enumerate().map(of).sum()
+    };
+    (0..values.len()).map(about).collect()
+}
+
 /// Weights of a Gaussian at 0, 1, … steps, up to three standard deviations or `most` steps; those of both sides add up to 1.
 fn gaussian(sd: f64, most: usize) -> Vec<f64> {
     let reach = ((3.0 * sd).ceil() as usize).min(most.saturating_sub(1));
@@ -434,10 +482,15 @@ fn gaussian(sd: f64, most: usize) -> Vec<f64> {
 
 /// Mean squares of fields, node by node.
 fn mean_squares<'a>(fields: impl Iterator<Item = &'a Vec<f64>>) -> Vec<f64> {
+    mean(fields.map(|field| field.iter().map(|x| x * x).collect()))
+}
+
+/// Means of lists, place by place.
+fn mean(lists: impl Iterator<Item = Vec<f64>>) -> Vec<f64> {
     let (mut sums, mut count) = (Vec::new(), 0.0);
-    for field in fields {
-        sums.resize(field.len(), 0.0);
-        sums.iter_mut().zip(field).for_each(|(sum, x)| *sum += x * x);
+    for list in lists {
+        sums.resize(list.len(), 0.0);
+        sums.iter_mut().zip(list).for_each(|(sum, x): (&mut f64, f64)| *sum += x);
         count += 1.0;
     }
     sums.iter_mut().for_each(|sum| *sum /= count);

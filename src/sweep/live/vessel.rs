@@ -619,13 +619,14 @@ impl GrowingVessel {
         let own: Vec<f64> = tally.own().collect();
         for node in window.start * nodes..window.end * nodes {
             let here = node - offset;
-            let error_mm = statistics.standard_error_mm[here];
+            let error_mm = statistics.errors.standard_error_mm[here];
             let [density_bin, error_bin] = &mut self.bins[node];
             recount(&mut self.densities, density_bin, Some(own[here]).filter(|n| *n > 0.0));
             recount(&mut self.errors, error_bin, Some(error_mm).filter(|e| e.is_finite()));
             self.support.echoes[node] = own[here].round() as u32;
             self.support.residual_mm[node] = statistics.residual_mm[here];
             self.support.standard_error_mm[node] = error_mm;
+            self.support.error_reach_mm[node] = statistics.errors.reach_mm[here];
             self.support.last_frame[node] = tally.last_frame[here];
             self.support.supported[node] = error_mm <= max_mm
                 && !statistics.is_mouth[here]
