@@ -68,6 +68,9 @@ if [ -x target/python/bin/python ]; then
   run "$python" -m pip install -q --disable-pip-version-check --force-reinstall --no-deps target/wheels/*.whl
   run "$python" -m pytest -q python/tests
   run "$python" -m mypy.stubtest lumenmesh
+  # The documentation: its links and examples, and the notices of all packages, also those of other platforms.
+  run cargo fetch --quiet --locked
+  run "$python" -m pytest -q -rs tests/docs
   # The page that shows a vessel, in Chromium.
   run "$python" -m pytest -q -rs tests/viewer
 else
