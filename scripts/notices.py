@@ -5,9 +5,9 @@ usage: notices.py [-o FILE]        # default: THIRD_PARTY_NOTICES
        notices.py --check [FILE]   # exit status 1, and what differs, where FILE is not what would be written
 
 What is linked comes from `cargo metadata`: the dependencies of the workspace's members with all features, on
-Linux, macOS and Windows, without those that only build or test. Texts come from the packages' own files. Where a
-package offers several licences, the first of PREFERRED is taken. Needs the sources of all packages:
-`cargo fetch --locked`.
+Linux, macOS and Windows, without those that only build or test. Texts come from the packages' own files. Where
+a package offers several licences, the first of PREFERRED is taken. Needs the sources of all packages: `cargo
+fetch --locked`.
 """
 
 import argparse
@@ -45,10 +45,10 @@ SAYS = {
 HEAD = """\
 Third-party notices of lumenmesh
 
-The packages below are linked into the command `lumenmesh` or into its libraries for C, C++ and Python, on one or
-another platform, beside Rust's standard library (MIT or Apache-2.0, https://github.com/rust-lang/rust). A package
-that offers several licences is used under the one that stands here. Texts that are equal but for line breaks stand
-once. The font DejaVu Sans, which draws the words in pictures, comes with the package `dejavu`.
+The packages below are linked into the command `lumenmesh` or into its libraries for C, C++ and Python, on one
+or another platform, beside Rust's standard library (MIT or Apache-2.0, https://github.com/rust-lang/rust). A
+package that offers several licences is used under the one that stands here. Texts that are equal but for line
+breaks stand once. The font DejaVu Sans, which draws the words in pictures, comes with the package `dejavu`.
 
 Written by scripts/notices.py: do not edit.
 """
@@ -159,7 +159,9 @@ def notices():
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, default=OUTPUT)
-    parser.add_argument("--check", nargs="?", type=Path, const=OUTPUT, metavar="FILE", help="compare, write nothing")
+    parser.add_argument(
+        "--check", nargs="?", type=Path, const=OUTPUT, metavar="FILE", help="compare, write nothing"
+    )
     arguments = parser.parse_args()
     try:
         new = notices()

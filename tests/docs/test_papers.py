@@ -9,7 +9,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def notices(*arguments):
-    return subprocess.run([sys.executable, ROOT / "scripts/notices.py", *arguments], capture_output=True, text=True)
+    return subprocess.run(
+        [sys.executable, ROOT / "scripts/notices.py", *arguments], capture_output=True, text=True
+    )
 
 
 def test_the_notices_are_those_of_the_packages_that_are_linked():
@@ -28,7 +30,7 @@ def test_a_package_that_is_not_named_is_told(tmp_path):
 
 
 def versions(root):
-    """The versions that files name, each with its file, and how much of the package's version each has to give."""
+    """The versions that files name: file, version, and how many parts of the package's version it has to give."""
     for path, pattern, parts in [
         ("CITATION.cff", r"^version: (\S+)$", 3),
         ("docs/hosts/rust.md", r'^lumenmesh = \{ version = "([\d.]+)"', 2),
@@ -58,5 +60,7 @@ def test_another_version_is_told(tmp_path):
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).write_text((ROOT / path).read_text(encoding="utf-8"), encoding="utf-8")
     manifest = (tmp_path / "Cargo.toml").read_text(encoding="utf-8")
-    (tmp_path / "Cargo.toml").write_text(re.sub(r'(?m)^version = ".*"$', 'version = "99.0.0"', manifest), encoding="utf-8")
+    (tmp_path / "Cargo.toml").write_text(
+        re.sub(r'(?m)^version = ".*"$', 'version = "99.0.0"', manifest), encoding="utf-8"
+    )
     assert len(wrong_versions(tmp_path)) == 3
