@@ -30,7 +30,7 @@ def test_a_package_that_is_not_named_is_told(tmp_path):
 
 
 def versions(root):
-    """The versions that files name: file, version, and how many parts of the package's version it has to give."""
+    """The versions that files name: file, version, and how many parts of the package's it has to give."""
     for path, pattern, parts in [
         ("CITATION.cff", r"^version: (\S+)$", 3),
         ("docs/hosts/rust.md", r'^lumenmesh = \{ version = "([\d.]+)"', 2),
