@@ -59,6 +59,7 @@ code { font: 0.88em ui-monospace, "DejaVu Sans Mono", monospace; }
 :not(pre) > code { padding: 0.1em 0.3em; background: var(--code); border-radius: 4px; }
 pre.formula { padding: 0.2rem 1.6rem; background: none; }
 pre.formula code { font-family: "DejaVu Serif", "STIX Two Text", Cambria, serif; font-size: 1em; }
+pre:has(> .language-text) { background: none; border: 1px solid var(--line); }
 .table { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 0.92rem; }
 th, td { padding: 0.3rem 0.7rem 0.3rem 0; text-align: left; vertical-align: top;

@@ -1,10 +1,22 @@
 """What stands in pages of the documentation: their programs, and the output that is quoted below them."""
 
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
+# The command that Cargo built, or another one.
+COMMAND = Path(os.environ.get("LUMENMESH", ROOT / "target/debug/lumenmesh"))
+
+
+def absent(what, required_by, **how):
+    """Skips a test, or a whole module, for what is not there; a failure where the variable is set."""
+    if os.environ.get(required_by):
+        pytest.fail(f"{what} is missing", pytrace=False)
+    pytest.skip(f"{what} is missing", **how)
 
 
 @dataclass
@@ -58,7 +70,7 @@ def same(quoted, said):
 
 
 def missing(quoted, said):
-    """The first quoted line that the output lacks at its place, or None; a line `…` stands for any number of lines."""
+    """The first quoted line that the output lacks at its place, or None; `…` stands for any number of lines."""
     said, at, anywhere = said.splitlines(), 0, False
     for line in quoted.splitlines():
         if line.strip() == "…":

@@ -1,21 +1,17 @@
-"""Links, anchors and citations of the documentation lead somewhere, each page is listed, and the site builds."""
+"""Links, anchors and citations of the documentation lead somewhere, pages are listed, and the site builds."""
 
-import os
 import subprocess
 import sys
 from html.parser import HTMLParser
-from pathlib import Path
 from urllib.parse import unquote, urldefrag
 
 import pytest
+from pages import ROOT, absent
 
-ROOT = Path(__file__).resolve().parents[2]
 try:
     import markdown_it  # noqa: F401
 except ImportError:
-    if os.environ.get("LUMENMESH_REQUIRE_TOOLS"):
-        pytest.fail("the Python package markdown-it-py is missing", pytrace=False)
-    pytest.skip("the Python package markdown-it-py is missing", allow_module_level=True)
+    absent("the Python package markdown-it-py", "LUMENMESH_REQUIRE_TOOLS", allow_module_level=True)
 
 
 def site(*arguments):
@@ -31,7 +27,7 @@ def test_nothing_in_the_documentation_is_broken():
 SMALL = {
     "docs/SUMMARY.md": "# Summary\n\n[First](../README.md)\n\n- [Second](second.md)\n",
     "README.md": "# First\n\nSee [it](docs/second.md#one-heading) and `docs/second.md`.\n\n    a = b\n",
-    "docs/second.md": "# Second\n\n## One heading\n\n## One heading\n\n[up](../README.md) [again](#one-heading-1)\n",
+    "docs/second.md": "# Second\n\n## One heading\n\n## One heading\n\n[up](../README.md) [](#one-heading-1)\n",
     "paper/paper.md": "---\nbibliography: paper.bib\n---\n# Summary\n\nAs @known2020 says.\n",
     "paper/paper.bib": "@article{known2020,\n  title = {Known}\n}\n",
 }

@@ -11,12 +11,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from pages import ROOT, blocks, missing, same
+from pages import COMMAND, ROOT, absent, blocks, missing, same
 
 PAGE = ROOT / "docs/tutorial.md"
 REAL = "Real contours"
 CONTOURS = Path(os.environ.get("LUMENMESH_SHARED", ROOT.parent / "shared")) / "data/ivus_narco/ivus_rest"
-COMMAND = Path(os.environ.get("LUMENMESH", ROOT / "target/debug/lumenmesh"))
 
 
 def run(parts, folder):
@@ -68,9 +67,7 @@ def test_the_commands_print_what_the_tutorial_quotes(tmp_path):
 
 def test_the_commands_for_real_contours_too(tmp_path):
     if not CONTOURS.is_dir():
-        if os.environ.get("LUMENMESH_REQUIRE_DATA"):
-            pytest.fail(f"{CONTOURS} is missing (LUMENMESH_SHARED names the data's folder)")
-        pytest.skip(f"{CONTOURS} is missing (LUMENMESH_SHARED names the data's folder)")
+        absent(f"{CONTOURS} (LUMENMESH_SHARED names the data's folder)", "LUMENMESH_REQUIRE_DATA")
     parts = [block for block in blocks(PAGE.read_text(encoding="utf-8")) if block.heading == REAL]
     assert len(parts) >= 3
     folder = tmp_path / "work"
