@@ -74,7 +74,7 @@ if [ -x target/python/bin/python ]; then
   # The page that shows a vessel, in Chromium.
   run "$python" -m pytest -q -rs tests/viewer
 else
-  echo "SKIPPED: the Python package: no Python with NumPy under target/"
+  echo "SKIPPED: the Python package, the documentation and the page: no Python with NumPy under target/"
   [ "${LUMENMESH_REQUIRE_TOOLS:-}" != 1 ] || status=1
 fi
 run cargo test "${chosen[@]}" --bench distance --bench fit --bench live -- --test
