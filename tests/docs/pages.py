@@ -82,3 +82,20 @@ def missing(quoted, said):
             return line
         at, anywhere = place + 1, False
     return None if anywhere or at == len(said) else f"(nothing more, but there is: {said[at]})"
+
+
+def quoted_anew(quoted, said):
+    """The quoted lines with the numbers of the output: for each, the next line of the same words, if possible with
+    the same first number, such as the place of a row in a table."""
+    said, at, new = said.splitlines(), 0, []
+    for line in quoted.splitlines():
+        if line.strip() == "…":
+            new.append(line)
+            continue
+        words, first = NUMBER.sub("0", line).split(), NUMBER.findall(line)[:1]
+        alike = [k for k in range(at, len(said)) if NUMBER.sub("0", said[k]).split() == words]
+        assert alike, f"the output has no line like: {line}"
+        place = next((k for k in alike if NUMBER.findall(said[k])[:1] == first), alike[0])
+        new.append(said[place])
+        at = place + 1
+    return "\n".join(new) + "\n"

@@ -1,5 +1,6 @@
 """Links, anchors and citations of the documentation lead somewhere, pages are listed, and the site builds."""
 
+import re
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -79,6 +80,42 @@ def test_what_is_broken_is_told(tmp_path, path, text, told):
     checked = site("-o", tmp_path / "site", "--root", written(tmp_path, {**SMALL, path: text}))
     assert checked.returncode == 1 and told in checked.stderr
     assert not (tmp_path / "site").exists()
+
+
+SOURCES = ["src", "shaders", "capi", "python", "matlab", "examples", "benches"]
+ENDINGS = {".rs", ".wgsl", ".h", ".hpp", ".c", ".cpp", ".py", ".pyi", ".m", ".html", ".js"}
+
+
+def wrong_references(root):
+    """Pages, and headings of pages, that comments of the source name and that are not there."""
+    files = (
+        file for folder in SOURCES for file in sorted((root / folder).rglob("*")) if file.suffix in ENDINGS
+    )
+    for file in files:
+        # A comment goes on in the next line.
+        text = re.sub(r"\n\s*(///?!?|#|%|\*)? *", " ", file.read_text(encoding="utf-8"))
+        for page, heading in re.findall(r'\b(docs/[\w/]+\.md)`?(?:, (?:section |sections )?"([^"]+)")?', text):
+            if not (root / page).is_file():
+                yield f"{file.relative_to(root)}: there is no {page}"
+            elif heading and not re.search(
+                rf"(?m)^#+ {re.escape(heading)}$", (root / page).read_text(encoding="utf-8")
+            ):
+                yield f'{file.relative_to(root)}: {page} has no heading "{heading}"'
+
+
+def test_comments_of_the_source_name_pages_and_headings_that_exist():
+    assert list(wrong_references(ROOT)) == []
+
+
+def test_a_comment_that_names_what_is_not_there_is_told(tmp_path):
+    code = {
+        "src/a.rs": '/// As it stands in `docs/second.md`,\n/// "One heading".\n',
+        "src/b.rs": '//! Wrong: docs/second.md,\n//! "Another"; `docs/third.md`.\n',
+    }
+    assert list(wrong_references(written(tmp_path, {**SMALL, **code}))) == [
+        'src/b.rs: docs/second.md has no heading "Another"',
+        "src/b.rs: there is no docs/third.md",
+    ]
 
 
 class Links(HTMLParser):
