@@ -4,10 +4,10 @@
 usage: notices.py [-o FILE]        # default: THIRD_PARTY_NOTICES
        notices.py --check [FILE]   # exit status 1, and what differs, where FILE is not what would be written
 
-What is linked comes from `cargo metadata`: the dependencies of the workspace's members with all features, on
-Linux, macOS and Windows, without those that only build or test. Texts come from the packages' own files. Where
-a package offers several licences, the first of PREFERRED is taken. Needs the sources of all packages: `cargo
-fetch --locked`.
+What is linked comes from `cargo tree`: the dependencies of the workspace's members with all features, on Linux,
+macOS and Windows, without those that only build or test. Texts come from the packages' own files. Where a
+package offers several licences, the first of PREFERRED is taken. Needs the sources of all packages:
+`cargo fetch --locked`.
 """
 
 import argparse
@@ -58,29 +58,27 @@ class NoticesError(Exception):
     """What keeps the notices from being written."""
 
 
-def metadata(platform):
-    command = ["cargo", "metadata", "--offline", "--locked", "--all-features", "--format-version", "1"]
-    run = subprocess.run([*command, "--filter-platform", platform], cwd=ROOT, capture_output=True, text=True)
+def cargo(*arguments):
+    run = subprocess.run(["cargo", *arguments], cwd=ROOT, capture_output=True, text=True, encoding="utf-8")
     if run.returncode != 0:
-        raise NoticesError(f"cargo metadata failed (did `cargo fetch --locked` run?):\n{run.stderr.strip()}")
-    return json.loads(run.stdout)
+        raise NoticesError(
+            f"cargo {arguments[0]} failed (did `cargo fetch --locked` run?):\n{run.stderr.strip()}"
+        )
+    return run.stdout
 
 
-def linked(graph):
-    """Packages that `graph` links into the members' artefacts: no members, no procedural macros, no tools."""
-    packages = {package["id"]: package for package in graph["packages"]}
-    nodes = {node["id"]: node for node in graph["resolve"]["nodes"]}
+def linked():
+    """Packages that are linked into the members' artefacts: no members, no procedural macros, no tools."""
+    same = ["--offline", "--locked", "--all-features"]
+    platforms = [word for platform in PLATFORMS for word in ("--target", platform)]
+    tree = ["--workspace", "--edges", "normal,no-proc-macro", "--prefix", "none", "--format", "{p}"]
+    lines = cargo("tree", *same, *platforms, *tree).splitlines()
+    names = {tuple(line.split()[:2]) for line in lines if line}
+    graph = json.loads(cargo("metadata", *same, "--format-version", "1"))
     members = set(graph["workspace_members"])
-    found, waiting = {}, list(members)
-    while waiting:
-        for dependency in nodes[waiting.pop()]["deps"]:
-            package = packages[dependency["pkg"]]
-            runs = any(kind["kind"] is None for kind in dependency["dep_kinds"])
-            macro = any("proc-macro" in target["kind"] for target in package["targets"])
-            if runs and not macro and package["id"] not in found and package["id"] not in members:
-                found[package["id"]] = package
-                waiting.append(package["id"])
-    return found
+    packages = [package for package in graph["packages"] if package["id"] not in members]
+    found = [package for package in packages if (package["name"], f"v{package['version']}") in names]
+    return sorted(found, key=lambda package: (package["name"], package["version"]))
 
 
 def chosen(expression):
@@ -138,12 +136,9 @@ def standard(package, licence):
 
 
 def notices():
-    packages = {}
-    for platform in PLATFORMS:
-        packages.update(linked(metadata(platform)))
     by_text, texts = defaultdict(list), {}
     lines = [HEAD]
-    for package in sorted(packages.values(), key=lambda package: (package["name"], package["version"])):
+    for package in linked():
         licences, own = texts_of(package)
         name = f"{package['name']} {package['version']}"
         lines.append(", ".join(filter(None, [f"{name}: {' and '.join(licences)}", package["repository"]])))
