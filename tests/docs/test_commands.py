@@ -85,6 +85,22 @@ def test_the_pages_have_command_lines():
     assert len({line for page in PAGES for line in lines(page.read_text(encoding="utf-8"))}) > 60
 
 
+def test_the_commands_of_the_page_on_sections_run(tmp_path):
+    made = [
+        "simulate --vessel stenosis --steady -o pullback.mat",
+        "reconstruct pullback.mat -o vessel.vtp",
+    ]
+    page = [
+        line for line in lines((ROOT / "docs/sections.md").read_text(encoding="utf-8")) if "vessel.vtp" in line
+    ]
+    assert len(page) >= 5
+    for line in [*(f"lumenmesh {words}" for words in made), *page]:
+        command = [COMMAND, *shlex.split(line, comments=True)[1:]]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, encoding="utf-8")
+        assert done.returncode == 0, f"{line}\n{done.stderr}"
+    assert {"axis.vtp", "sections.csv"} <= {file.name for file in tmp_path.iterdir()}
+
+
 def test_what_the_command_does_not_have_is_told():
     assert wrong("lumenmesh simulate --vessel aorta -o a.mat   # a recording") is None
     assert wrong("lumenmesh import pullback a.csv --upright -o a.mat") is None
