@@ -17,7 +17,9 @@ version=$(sed -n '/^\[workspace.package\]/,/^\[/s/^version = "\(.*\)"/\1/p' ../C
 library=liblumenmesh.so
 [ -e "$target/$library" ] || library=liblumenmesh.dylib
 
-mkdir -p "$prefix/include" "$prefix/lib/cmake/lumenmesh" "$prefix/lib/pkgconfig"
+mkdir -p "$prefix/include" "$prefix/lib/cmake/lumenmesh" "$prefix/lib/pkgconfig" \
+  "$prefix/share/doc/lumenmesh"
+install -m 644 ../LICENSE-MIT ../LICENSE-APACHE ../THIRD_PARTY_NOTICES "$prefix/share/doc/lumenmesh/"
 install -m 644 include/lumenmesh.h include/lumenmesh.hpp "$prefix/include/"
 install -m 755 "$target/$library" "$prefix/lib/"
 install -m 644 "$target/liblumenmesh.a" "$prefix/lib/"

@@ -62,16 +62,19 @@ run cargo test "${chosen[@]}"
 # The Python package, as it is installed.
 if [ -x target/python/bin/python ]; then
   python=target/python/bin/python
-  run "$python" -m pip install -q --disable-pip-version-check maturin pytest mypy pyvista trimesh playwright pillow 'dask[distributed]'
+  run "$python" -m pip install -q --disable-pip-version-check maturin pytest mypy pyvista trimesh playwright pillow markdown-it-py 'dask[distributed]'
   rm -rf target/wheels
   run target/python/bin/maturin build --quiet --profile dev --manifest-path python/Cargo.toml -i "$python" -o target/wheels
   run "$python" -m pip install -q --disable-pip-version-check --force-reinstall --no-deps target/wheels/*.whl
   run "$python" -m pytest -q python/tests
   run "$python" -m mypy.stubtest lumenmesh
+  # The documentation: its links and examples, and the notices of all packages, also those of other platforms.
+  run cargo fetch --quiet --locked
+  run "$python" -m pytest -q -rs tests/docs
   # The page that shows a vessel, in Chromium.
   run "$python" -m pytest -q -rs tests/viewer
 else
-  echo "SKIPPED: the Python package: no Python with NumPy under target/"
+  echo "SKIPPED: the Python package, the documentation and the page: no Python with NumPy under target/"
   [ "${LUMENMESH_REQUIRE_TOOLS:-}" != 1 ] || status=1
 fi
 run cargo test "${chosen[@]}" --bench distance --bench fit --bench live -- --test
