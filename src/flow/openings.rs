@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 /// An opening about which the wall faces the way that the opening does, by this cosine in the mean, is a hole in the wall.
 const HOLE_COSINE: f64 = 0.5;
 /// Radius of the wall about an opening that is asked, in radii of the opening.
-const ABOUT_RADII: f64 = 1.5;
+const ABOUT_RADII: f64 = 1.25;
 /// Powers of a matrix that find an eigenvector.
 const POWERS: usize = 200;
 /// Ends are cut this far within their innermost node, in edges of the mesh.

@@ -83,7 +83,7 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
     )?;
     page.plot(&svg, "Frustum: mean error after each iteration, of all nodes and of the two end rings.");
 
-    page.heading("Single cylinders (Table 4, Figures 29 and 30)");
+    page.heading("Single cylinders (Table 4, Figure 29)");
     page.table(&all[3]);
     let medians = |name: &str, values: Vec<f64>| Line {
         name: name.into(),
@@ -106,16 +106,36 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
         ],
     )?;
     page.plot(&svg, "Table 4 as a plot: median over the cylinders of their errors, after each iteration.");
+    let svg = lines(
+        Room::Whole,
+        "cylinder",
+        "error (mm)",
+        &[series_line("noiseless", last_errors(noiseless)), series_line("noisy", last_errors(noisy))],
+    )?;
+    page.plot(&svg, "As Figure 29: error of each cylinder after the fit.");
     let (a, b) = (per_cylinder(noiseless)?, per_cylinder(noisy)?);
-    page.plots([(&a, "Error of each cylinder, noiseless."), (&b, "Error of each cylinder, noisy.")]);
-
-    page.heading("Merged mesh (Table 5, Figures 31 and 32)");
-    page.table(&all[4]);
-    let (a, b) = (growth(noiseless)?, growth(noisy)?);
     page.plots([
-        (&a, "Error of the mesh as it grows by one cylinder after another, noiseless."),
-        (&b, "Error of the mesh as it grows by one cylinder after another, noisy."),
+        (&a, "Error of each cylinder before and after the fit, noiseless."),
+        (&b, "Error of each cylinder before and after the fit, noisy."),
     ]);
+
+    page.heading("Merged mesh (Table 5, Figures 30 to 32)");
+    page.table(&all[4]);
+    let (a, b) = (growth(noisy)?, growth(noiseless)?);
+    page.plots([
+        (&a, "As Figure 30: error of the mesh as it grows by one cylinder after another, noisy."),
+        (&b, "As Figure 31: the same, noiseless."),
+    ]);
+    let svg = lines(
+        Room::Whole,
+        "cylinders merged",
+        "mean error (mm)",
+        &[
+            series_line("noiseless", &noiseless.deformed.growth_mean_mm),
+            series_line("noisy", &noisy.deformed.growth_mean_mm),
+        ],
+    )?;
+    page.plot(&svg, "As Figure 32: error of the growing deformed mesh.");
 
     page.heading("Distributions (Tables 6 and 7, Figures 33 and 34)");
     page.table(&all[5]);
@@ -149,7 +169,14 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
 
     page.table(&all[7]);
     page.heading("What the thesis says about its figures");
-    page.definitions(experiments.thesis.statements.iter().map(|s| (s.figure, s.says)));
+    let beside: Vec<(&str, String)> = experiments
+        .thesis
+        .statements
+        .iter()
+        .zip(ours(experiments))
+        .map(|(statement, ours)| (statement.figure, format!("{} Ours: {ours}", statement.says)))
+        .collect();
+    page.definitions(beside.iter().map(|(figure, text)| (*figure, text.as_str())));
 
     page.heading("What the numbers mean");
     let rows = DEFINITIONS.into_iter().chain(evaluate::DEFINITIONS);
@@ -453,13 +480,116 @@ fn per_cylinder(series: &Series) -> Result<String> {
 }
 
 fn growth(series: &Series) -> Result<String> {
-    let line =
-        |name: &str, values: &[f64]| Line { name: name.into(), points: numbered(values), mark: Mark::Line };
     let Series { original, deformed, .. } = series;
     lines(
         Room::Half,
         "cylinders merged",
         "mean error (mm)",
-        &[line("original", &original.growth_mean_mm), line("deformed", &deformed.growth_mean_mm)],
+        &[
+            series_line("original", &original.growth_mean_mm),
+            series_line("deformed", &deformed.growth_mean_mm),
+        ],
     )
+}
+
+fn series_line(name: &str, values: &[f64]) -> Line {
+    Line { name: name.into(), points: numbered(values), mark: Mark::Line }
+}
+
+/// Errors of the cylinders after the last iteration.
+fn last_errors(series: &Series) -> &[f64] {
+    series.cylinder_error_mm.last().map_or(&[], Vec::as_slice)
+}
+
+/// The cylinders of which the thesis says something, counted from 1.
+const TURNING: std::ops::RangeInclusive<usize> = 102..=116;
+const EQUAL: usize = 120;
+
+/// Our numbers for each of the thesis's statements about its figures, in their order.
+fn ours(experiments: &Experiments) -> [String; 5] {
+    let Experiments { noiseless, noisy, .. } = experiments;
+    let (clean, noised) = (last_errors(noiseless), last_errors(noisy));
+    let of_120 = match (noised.get(EQUAL - 1), clean.get(EQUAL - 1)) {
+        (Some(noisy), Some(clean)) => {
+            format!("number {EQUAL} has {} with noise and {} without", mm(*noisy), mm(*clean))
+        }
+        _ => format!("there are {} cylinders", noised.len()),
+    };
+    let lower = |low: &[f64], high: &[f64], range: std::ops::Range<usize>| {
+        let pairs: Vec<(&f64, &f64)> = low.iter().zip(high).skip(range.start).take(range.len()).collect();
+        format!("{} of {}", pairs.iter().filter(|(a, b)| a < b).count(), pairs.len())
+    };
+    let all = 0..usize::MAX;
+    let grown = |series: &Series| {
+        let Series { original, deformed, .. } = series;
+        let ends = |values: &[f64]| {
+            format!(
+                "{} to {}",
+                mm(values.first().copied().unwrap_or(0.0)),
+                mm(values.last().copied().unwrap_or(0.0))
+            )
+        };
+        format!(
+            "lower at {} sizes; original from {}, deformed from {} mm",
+            lower(&deformed.growth_mean_mm, &original.growth_mean_mm, all.clone()),
+            ends(&original.growth_mean_mm),
+            ends(&deformed.growth_mean_mm)
+        )
+    };
+    let [growing_clean, growing_noised] = [noiseless, noisy].map(|s| &s.deformed.growth_mean_mm[..]);
+    let above = |series: &Series| {
+        let Spread { upper_limit_mm, .. } = series.deformed.node_spread;
+        let errors = &series.deformed.node_error_mm;
+        let above = errors.iter().filter(|e| **e > upper_limit_mm).count();
+        100.0 * above as f64 / errors.len().max(1) as f64
+    };
+    let at_the_end = |series: &Series| {
+        let errors: Vec<f64> =
+            series.deformed.node_error_mm.iter().copied().filter(|e| e.is_finite()).collect();
+        let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
+        let whole = mean(&errors);
+        let cut = errors.iter().filter(|e| **e > 10.0 * whole).count();
+        format!(
+            "{} in the last tenth of the rings, {} in all, {cut} of {} nodes above 10 times the mean",
+            mm(mean(&errors[errors.len() - errors.len() / 10..])),
+            mm(whole),
+            errors.len()
+        )
+    };
+    [
+        format!(
+            "the correlation of the two over {} cylinders is {:.2}; {of_120}.",
+            noised.len().min(clean.len()),
+            correlation(clean, noised)
+        ),
+        format!("noisy {}; noiseless {}.", grown(noisy), grown(noiseless)),
+        format!(
+            "the one without noise is lower at {} sizes, of those from {} to {} at {}.",
+            lower(growing_clean, growing_noised, all.clone()),
+            TURNING.start(),
+            TURNING.end(),
+            lower(growing_clean, growing_noised, TURNING.start() - 1..*TURNING.end())
+        ),
+        format!(
+            "limits by the same rule; {:.1} % of the nodes lie above the upper one with noise, {:.1} % without.",
+            above(noisy),
+            above(noiseless)
+        ),
+        format!(
+            "noisy {}; noiseless {}. The pictures show where the arch is.",
+            at_the_end(noisy),
+            at_the_end(noiseless)
+        ),
+    ]
+}
+
+/// Pearson's correlation of two series, over the places where both are finite.
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let pairs: Vec<(f64, f64)> =
+        a.iter().copied().zip(b.iter().copied()).filter(|(a, b)| a.is_finite() && b.is_finite()).collect();
+    let mean = |of: fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / pairs.len() as f64;
+    let (mean_a, mean_b) = (mean(|p| p.0), mean(|p| p.1));
+    let sum =
+        |of: &dyn Fn(f64, f64) -> f64| pairs.iter().map(|p| of(p.0 - mean_a, p.1 - mean_b)).sum::<f64>();
+    sum(&|a, b| a * b) / (sum(&|a, _| a * a) * sum(&|_, b| b * b)).sqrt()
 }

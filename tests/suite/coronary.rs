@@ -36,6 +36,8 @@ struct Case {
     name: String,
     pullback: Pullback,
     by_hand_mm2: BTreeMap<u64, f64>,
+    /// Largest distance of two points of the outline, by hand.
+    longest_mm: BTreeMap<u64, f64>,
 }
 
 fn cases() -> impl Iterator<Item = Case> {
@@ -45,7 +47,8 @@ fn cases() -> impl Iterator<Item = Case> {
         let by_hand_mm2 = read_values(&by_hand, "lumen_area").unwrap();
         // Every frame has its area: none is left out of what follows.
         assert!(pullback.frame_numbers.iter().all(|number| by_hand_mm2.contains_key(number)));
-        Some(Case { name: format!("{} {}", which.0, which.1), pullback, by_hand_mm2 })
+        let longest_mm = read_values(&by_hand, "longest_distance").unwrap();
+        Some(Case { name: format!("{} {}", which.0, which.1), pullback, by_hand_mm2, longest_mm })
     })
 }
 
@@ -249,6 +252,26 @@ fn the_commands_of_the_guide_work() {
     }
 }
 
+/// The narrowest place is the one measured by hand, and as narrow; the largest distances across are those too.
+fn has_the_narrowest_place(case: &Case, sections: &[LumenSection]) {
+    let numbers = || case.pullback.frame_numbers.iter().copied();
+    let least = |areas: &mut dyn Iterator<Item = f64>| {
+        areas.zip(numbers()).min_by(|p, q| p.0.total_cmp(&q.0)).unwrap()
+    };
+    let (area, frame) = least(&mut sections.iter().map(|s| s.measures.area_mm2));
+    let (by_hand, frame_by_hand) = least(&mut numbers().map(|number| case.by_hand_mm2[&number]));
+    println!("{}: least {area:.3} mm² in {frame}, by hand {by_hand:.2} in {frame_by_hand}", case.name);
+    assert_eq!(frame, frame_by_hand);
+    assert!((area / by_hand - 1.0).abs() <= 0.005, "{area} {by_hand}");
+    let feret = sections.iter().map(|s| s.measures.feret_diameter_mm);
+    let longest: Vec<f64> = feret
+        .zip(numbers())
+        .map(|(feret, number)| 100.0 * (feret / case.longest_mm[&number] - 1.0))
+        .collect();
+    println!("  longest distance: median {:.2} %, largest {:.2} %", median(&longest), largest(&longest));
+    assert!(median(&longest) <= 1.0);
+}
+
 #[test]
 fn areas_of_a_swept_vessel_agree_too() {
     for case in cases() {
@@ -256,6 +279,9 @@ fn areas_of_a_swept_vessel_agree_too() {
         let swept = |settings: &Settings, keep_unsupported: bool| {
             let mesh = Sweep::of(recording, settings).unwrap().surface(keep_unsupported);
             let sections = Sections::of(&mesh, None).unwrap().of_frames(recording, Pose::IDENTITY);
+            if keep_unsupported {
+                has_the_narrowest_place(&case, &sections);
+            }
             let differences = case.differences(sections.iter().map(|s| s.measures.area_mm2));
             // An outline that is cut open counts as off without bound.
             let open = differences.iter().filter(|d| d.is_nan()).count();

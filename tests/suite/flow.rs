@@ -148,7 +148,8 @@ fn holes_are_refused_with_their_places_or_closed_by_faces_of_their_own() {
             && said.contains("8.0 mm across at (9.55, 0.00, 0.00) mm"),
         "{said}"
     );
-    let mesh = FlowMesh::of(&vessel, &capped().with_fill_holes(true)).unwrap();
+    let fine = capped().with_edge(EdgeLength::Uniform(0.8));
+    let mesh = FlowMesh::of(&vessel, &fine.with_fill_holes(true)).unwrap();
     assert!(mesh.surface.topology().is_closed());
     let [_, _, _, first, second] = &mesh.faces[..] else { panic!("{:?}", mesh.faces) };
     for (hole, place) in [(first, DVec3::X * 10.0), (second, DVec3::new(0.0, 10.0, 15.0))] {
@@ -180,9 +181,9 @@ fn vessels_that_make_no_mesh_are_refused_with_the_place() {
     turned.triangles[100].swap(0, 1);
     assert!(refusal(&turned, &capped()).contains("opposite normals"));
     // A bend whose legs the extensions of one end join: it runs into itself.
-    let bend = bent_tube(1.2 * PI);
+    let bend = bent_tube(1.5 * PI);
     assert!(FlowMesh::of(&bend, &capped()).is_ok());
-    let said = refusal(&bend, &capped().with_extension(Some(Extension::Millimetres(120.0))));
+    let said = refusal(&bend, &capped().with_extension(Some(Extension::Millimetres(60.0))));
     assert!(said.contains("crosses itself") && said.contains("mesh at ("), "{said}");
     // Values out of range name the setting.
     for (settings, name) in [
