@@ -27,6 +27,8 @@ mod live;
 mod matlab;
 mod mesh_files;
 mod method;
+#[cfg(feature = "cli")]
+mod ndjson;
 #[cfg(all(feature = "cli", unix))]
 mod outputs;
 #[cfg(feature = "cli")]
