@@ -23,6 +23,8 @@ mod golden;
 mod import;
 mod layers;
 mod live;
+#[cfg(all(feature = "cli", unix))]
+mod live_command;
 #[cfg(feature = "cli")]
 mod matlab;
 mod mesh_files;

@@ -1,0 +1,41 @@
+//! What everyone who follows the vessel is told.
+
+use crate::Result;
+use crate::reconstruction::{Change, Live};
+use crate::recording::Frame;
+use crate::surface::Surface;
+
+/// A frame that was taken, or the end of the waiting for frames, and what it changed.
+pub(crate) struct Update<'a> {
+    /// The vessel.
+    pub live: &'a Live,
+    /// What changed.
+    pub change: &'a Change,
+    /// The frame in this project's conventions; `None` at the end of the waiting.
+    pub frame: Option<&'a Frame>,
+    /// Its number.
+    pub number: usize,
+}
+
+/// Somebody who follows the vessel. None of its functions waits for anyone: what is slow has its own thread.
+pub(crate) trait Sink {
+    /// Takes an update.
+    ///
+    /// # Errors
+    /// What went wrong since the last time. The run goes on.
+    fn take(&mut self, update: &Update) -> Result<()>;
+
+    /// Takes a remark for people.
+    fn say(&mut self, _text: &str) {}
+
+    /// No frame will follow. Frames that jump off the path still wait.
+    ///
+    /// # Errors
+    /// As [`take`](Self::take).
+    fn last_frame(&mut self, _live: &Live) -> Result<()> {
+        Ok(())
+    }
+
+    /// The end: the final mesh, where it is not the vessel that grew, and a last remark.
+    fn end(&mut self, _mesh: Option<&Surface>, _text: &str) {}
+}
