@@ -9,6 +9,7 @@ use crate::reconstruction::Live;
 use crate::report::{contour_of, floats, frame_of, live_page, vessel_of_mesh};
 use crate::surface::Surface;
 use crate::{Error, Result};
+use glam::DVec3;
 use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{Read, Write};
@@ -102,7 +103,7 @@ impl Waiting {
 impl Vessel {
     /// The rings of a part of the vessel.
     fn rings_of(part: &Surface, nodes: usize) -> Vec<Arc<Ring>> {
-        let ring = |(k, positions): (usize, &[crate::glam::DVec3])| {
+        let ring = |(k, positions): (usize, &[DVec3])| {
             let within = k * nodes..(k + 1) * nodes;
             Arc::new(Ring {
                 positions_mm: positions.iter().flat_map(|p| p.to_array()).collect(),

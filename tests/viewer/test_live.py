@@ -89,3 +89,30 @@ def test_the_final_mesh_takes_the_place_of_the_vessel(show, recording):
         assert tab.evaluate("lumenmesh.vessel.count") == summary["nodes"]
         assert wall(pixels(tab)).mean() > 0.05
         keep(tab, "command_finished")
+
+
+def test_a_report_has_the_vessel_to_turn_and_prints_a_picture(browser, recording, tmp_path):
+    report = tmp_path / "report.html"
+    subprocess.run([COMMAND, "report", recording, "-o", report], check=True, stdout=subprocess.DEVNULL)
+    assert report.stat().st_size < 3_000_000
+    tab = browser.new_page(viewport={"width": 1100, "height": 800})
+    errors = []
+    tab.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    tab.on("pageerror", lambda error: errors.append(str(error)))
+    tab.goto(report.as_uri())
+    tab.locator("iframe").scroll_into_view_if_needed()
+    until(tab, "document.querySelectorAll('iframe').length === 1")
+    until(tab, "true")
+    frame = tab.frames[1]
+    until(frame, "window.lumenmesh?.vessel.count > 0")
+    assert frame.evaluate("lumenmesh.frames.list.length") == len(recording.read_text().splitlines())
+    assert frame.locator("#title").inner_text() == "The vessel"
+    assert wall(pixels(tab, "iframe")).mean() > 0.03
+    keep(tab, "report_screen")
+    pictures = tab.locator("figure img")
+    assert pictures.count() >= 1 and tab.locator("iframe").is_visible()
+    tab.emulate_media(media="print")
+    assert pictures.first.is_visible() and tab.locator("iframe").is_hidden()
+    keep(tab, "report_print")
+    assert errors == []
+    tab.close()
