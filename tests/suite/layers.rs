@@ -15,6 +15,7 @@ const ORDER: &[&str] = &[
     "matfile",
     "recording",
     "surface",
+    "openigtlink",
     "settings",
     "engine",
     "cylinders::tube",

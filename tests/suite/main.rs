@@ -27,6 +27,7 @@ mod live;
 mod matlab;
 mod mesh_files;
 mod method;
+mod openigtlink;
 #[cfg(all(feature = "cli", unix))]
 mod outputs;
 #[cfg(feature = "cli")]
