@@ -88,12 +88,13 @@ struct CurveArguments {
 #[command(after_help = "Examples:
   lumenmesh import recording pullback.mat -o pullback.igs.mha        # for PLUS and 3D Slicer
   lumenmesh import recording tracker.igs.mha -o pullback.mat --transform ProbeToReference --contours contours.csv
+  lumenmesh import recording pullback.mat -o pullback.ndjson         # a frame as JSON per line, for lumenmesh live
   lumenmesh import recording recording/ -o pullback.mat --quaternion wxyz --units m")]
 struct RecordingArguments {
-    /// A .mat or sequence file, or a folder of CSV files
+    /// A .mat, sequence or .ndjson file, or a folder of CSV files
     #[arg(value_name = "REC")]
     recording: PathBuf,
-    /// Where to write it: a .mat or sequence file, or a folder of CSV files
+    /// Where to write it: a .mat, sequence or .ndjson file, or a folder of CSV files
     #[arg(short, long)]
     output: PathBuf,
     /// Print JSON instead of text

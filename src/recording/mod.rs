@@ -19,6 +19,7 @@ pub use cylinder::CylinderModel;
 pub(crate) use cylinder::MAX_RADIUS_MM;
 pub use finding::{Example, Finding};
 pub(crate) use formats::Table;
+pub use formats::ndjson::{BadLine, FrameLines};
 pub use mask::{MaskOptions, Masks};
 pub use pullback::{Pullback, PullbackOptions, PullbackPath};
 pub(crate) use screening::{Judged, LiveScreening};
@@ -141,7 +142,8 @@ pub struct Recording {
 
 impl Recording {
     /// Reads a recording: a MATLAB `.mat` file (v4 to v7.3), a folder of CSV files, or a [sequence file](Sequence) of PLUS
-    /// or 3D Slicer (`.igs.mha`, `.igs.mhd`, `.seq.mha`, `.igs.nrrd`, `.seq.nrrd`).
+    /// or 3D Slicer (`.igs.mha`, `.igs.mhd`, `.seq.mha`, `.igs.nrrd`, `.seq.nrrd`), or one [frame as JSON](Frame::from_json) per
+    /// line (`.ndjson`, `.jsonl`).
     ///
     /// A `.mat` file holds `rotm` (3×3×F, the sensor's rotation in the world), `Ep` (F×3, its position, mm),
     /// `x_data` and `y_data` (F×M, contours, mm, NaN where there is no echo) and optionally `cyl_px`, `cyl_py`,
@@ -226,6 +228,7 @@ impl Recording {
         match () {
             () if path.is_dir() => formats::csv::read(path, options),
             () if is_sequence => Sequence::read(path)?.recording(options),
+            () if is_ndjson(path) => formats::ndjson::read(path),
             () => formats::mat::read_by_ending(path),
         }
     }
@@ -235,15 +238,18 @@ impl Recording {
         self.frames.get(k).and_then(|frame| frame.number).unwrap_or(k)
     }
 
-    /// Writes a recording: `.mat` by that ending, a [sequence file](Sequence) by `.mha`, `.mhd` or `.nrrd` (`.mhd`
-    /// with a `.raw` beside it), else (no ending, or a folder that is there) a folder of CSV
+    /// Writes a recording: `.mat` and `.ndjson` by that ending, a [sequence file](Sequence) by `.mha`, `.mhd` or `.nrrd`
+    /// (`.mhd` with a `.raw` beside it), else (no ending, or a folder that is there) a folder of CSV
     /// files. All read back equal, but that CSV files hold rotations as quaternions (equal to 1e-12), and sequence files
-    /// no cylinder models.
+    /// no cylinder models. `.ndjson` is one [frame as JSON](Frame::to_json) per line.
     ///
     /// # Errors
-    /// Where the recording fails [`Recording::check`], the ending is another one, or the file or folder cannot
+    /// Where the recording fails [`Recording::check`] (but in `.ndjson`, where a frame may have no pose), the ending is another one, or the file or folder cannot
     /// be written; no partial file is left behind.
     pub fn write(&self, path: &Path) -> Result<()> {
+        if is_ndjson(path) && !path.is_dir() {
+            return formats::ndjson::write(self, path);
+        }
         self.check().map_err(|e| e.in_file(path))?;
         match ending(path).as_str() {
             _ if path.is_dir() => formats::csv::write(self, path),
@@ -479,10 +485,14 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 /// orthonormal.
 const ROUNDING_TOLERANCE: f64 = 1e-2;
 
+fn is_ndjson(path: &Path) -> bool {
+    matches!(ending(path).as_str(), "ndjson" | "jsonl")
+}
+
 fn unknown_ending(path: &Path) -> Error {
     Error::UnknownEnding {
         path: path.to_owned(),
         ending: ending(path),
-        expected: "mat, mha, mhd, nrrd, or none for a folder of CSV files",
+        expected: "mat, mha, mhd, nrrd, ndjson, or none for a folder of CSV files",
     }
 }

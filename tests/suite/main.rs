@@ -27,6 +27,8 @@ mod live;
 mod matlab;
 mod mesh_files;
 mod method;
+#[cfg(feature = "cli")]
+mod ndjson;
 mod openigtlink;
 #[cfg(all(feature = "cli", unix))]
 mod outputs;

@@ -2,6 +2,7 @@
 
 pub(super) mod csv;
 pub(super) mod mat;
+pub(super) mod ndjson;
 mod status;
 mod table;
 mod units;
