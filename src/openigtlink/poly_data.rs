@@ -1,62 +1,84 @@
 //! `POLYDATA`: points, cells and values at the points.
 
-use super::refused;
-use super::wire::{Reader, text};
+use super::strips::strips;
+use super::wire::{Reader, refused, text};
 use crate::Result;
+use crate::surface::Surface;
 
 /// A mesh or lines.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PolyData {
     /// Points, mm.
     pub points_mm: Vec<[f32; 3]>,
-    /// Points that are cells of their own, by index.
-    pub vertices: Vec<Vec<u32>>,
     /// Lines, each as indices of its points.
     pub lines: Vec<Vec<u32>>,
     /// Polygons.
     pub polygons: Vec<Vec<u32>>,
     /// Triangle strips: cells of which a receiver has to make far fewer than polygons.
     pub strips: Vec<Vec<u32>>,
-    /// One value for each point, by name.
+    /// One value for each point, by name; NaN where there is none.
     pub scalars: Vec<(String, Vec<f32>)>,
 }
 
 /// Bytes before the points: their count, and count and bytes of each kind of cells, and the count of attributes.
 const COUNTS: usize = 40;
 
+/// The arrays of a surface that are sent, where it has them.
+const ARRAYS: [&str; 3] = ["support", "standard_error_mm", "supported"];
+
 impl PolyData {
-    pub(super) fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        let word = |bytes: &mut Vec<u8>, value: usize| bytes.extend((value as u32).to_be_bytes());
-        word(&mut bytes, self.points_mm.len());
-        let kinds = [&self.vertices, &self.lines, &self.polygons, &self.strips];
-        for cells in kinds {
-            word(&mut bytes, cells.len());
-            word(&mut bytes, cells.iter().map(|cell| 4 + 4 * cell.len()).sum());
+    /// A vessel as triangle strips, with its arrays `support`, `standard_error_mm` and `supported`, as far as it has them. Positions
+    /// are rounded to single precision.
+    pub fn of_surface(surface: &Surface) -> Self {
+        let array = |name: &&str| Some((String::from(*name), to_f32(surface.array(name)?.iter().copied())));
+        Self {
+            points_mm: surface.nodes_mm.iter().map(|p| p.as_vec3().to_array()).collect(),
+            strips: strips(&surface.triangles, surface.nodes_mm.len()),
+            scalars: ARRAYS.iter().filter_map(array).collect(),
+            ..Self::default()
         }
-        word(&mut bytes, self.scalars.len());
+    }
+
+    pub(super) fn encode(&self, bytes: &mut Vec<u8>) -> Result<()> {
+        let kinds = [&Vec::new(), &self.lines, &self.polygons, &self.strips];
+        let size = |cells: &Vec<Vec<u32>>| cells.iter().map(|cell| 4 + 4 * cell.len()).sum::<usize>();
+        let sizes = kinds.map(size);
+        // All counts are smaller than the bytes of what they count.
+        let total = sizes.iter().sum::<usize>() + self.points_mm.len() * 12 * (1 + self.scalars.len());
+        if u32::try_from(total).is_err() {
+            return Err(refused("POLYDATA", format!("{total} bytes"), "fewer than 2^32"));
+        }
+        bytes.reserve(COUNTS + total);
+        let word = |bytes: &mut Vec<u8>, value: usize| bytes.extend((value as u32).to_be_bytes());
+        word(bytes, self.points_mm.len());
+        for (cells, size) in kinds.iter().zip(sizes) {
+            word(bytes, cells.len());
+            word(bytes, size);
+        }
+        word(bytes, self.scalars.len());
         bytes.extend(self.points_mm.iter().flatten().flat_map(|x| x.to_be_bytes()));
         for cell in kinds.into_iter().flatten() {
-            word(&mut bytes, cell.len());
+            word(bytes, cell.len());
             bytes.extend(cell.iter().flat_map(|index| index.to_be_bytes()));
         }
         for (_, values) in &self.scalars {
             // Scalars of one component.
             bytes.extend([0, 1]);
-            word(&mut bytes, values.len());
+            word(bytes, values.len());
         }
         let names = bytes.len();
         for (name, _) in &self.scalars {
-            bytes.extend(name.bytes().chain([0]));
+            bytes.extend(name.bytes().filter(|&b| b != 0).chain([0]));
         }
         if (bytes.len() - names) % 2 == 1 {
             bytes.push(0);
         }
         bytes.extend(self.scalars.iter().flat_map(|(_, values)| values).flat_map(|x| x.to_be_bytes()));
-        bytes
+        Ok(())
     }
 
-    /// Reads points, cells and the scalars of one component that points have. Other attributes are passed over.
+    /// Reads points, lines, polygons, strips, and the scalars of one component that points have. Cells of single points and
+    /// other attributes are passed over.
     pub(super) fn decode(bytes: &[u8]) -> Result<Self> {
         let mut reader = Reader::new(bytes);
         let points = reader.u32()? as usize;
@@ -65,81 +87,82 @@ impl PolyData {
             *kind = (reader.u32()? as usize, reader.u32()? as usize);
         }
         let attributes = reader.u32()? as usize;
-        let cell_bytes: usize = kinds.iter().map(|(_, bytes)| bytes).sum();
+        let cell_bytes: u64 = kinds.iter().map(|&(_, bytes)| bytes as u64).sum();
         // Six bytes and a name's end are the least that an attribute takes.
-        let least = (|| {
-            COUNTS
-                .checked_add(points.checked_mul(12)?)?
-                .checked_add(cell_bytes)?
-                .checked_add(attributes.checked_mul(7)?)
-        })();
-        if least.is_none_or(|least| least > bytes.len()) {
+        let least = COUNTS as u64 + points as u64 * 12 + cell_bytes + attributes as u64 * 7;
+        if least > bytes.len() as u64 {
             let found = format!("{points} points, {cell_bytes} bytes of cells and {attributes} attributes");
-            return Err(refused("POLYDATA", found, &format!("what {} bytes hold", bytes.len())));
+            return Err(refused("POLYDATA", found, format!("what {} bytes hold", bytes.len())));
         }
         let mut data = Self::default();
         data.points_mm.reserve_exact(points);
         for _ in 0..points {
-            data.points_mm.push([reader.f32()?, reader.f32()?, reader.f32()?]);
+            data.points_mm.push(reader.point()?);
         }
-        let cells = [&mut data.vertices, &mut data.lines, &mut data.polygons, &mut data.strips];
-        for (cells, (count, bytes)) in cells.into_iter().zip(kinds) {
+        let [(_, vertices), lines, polygons, strips] = kinds;
+        let _ = reader.take(vertices)?;
+        let cells = [&mut data.lines, &mut data.polygons, &mut data.strips];
+        for (cells, (count, bytes)) in cells.into_iter().zip([lines, polygons, strips]) {
             *cells = read_cells(reader.take(bytes)?, count, points)?;
         }
-        let mut headers = Vec::with_capacity(attributes);
+        let mut headers = Reader::new(reader.take(attributes * 6)?);
+        let mut names = Reader::new(reader.rest());
+        let mut ends = 0;
         for _ in 0..attributes {
-            let (kind, components, count) = (reader.u8()?, reader.u8()?, reader.u32()? as usize);
-            headers.push((kind, usize::from(components), count));
+            ends += 1 + names_end(&reader.rest()[ends..])?;
         }
-        let mut names = Vec::with_capacity(attributes);
-        let mut length = 0;
+        // The table of names has an even length.
+        reader.take(ends + ends % 2)?;
         for _ in 0..attributes {
-            let Some(end) = reader.rest().iter().position(|&b| b == 0) else {
-                return Err(refused("POLYDATA", "a name without an end", "a zero after each name"));
-            };
-            names.push(text(reader.take(end + 1)?));
-            length += end + 1;
-        }
-        reader.take(length % 2)?;
-        for ((kind, components, count), name) in headers.into_iter().zip(names) {
-            let size = components.checked_mul(count).and_then(|n| n.checked_mul(4));
-            let values = match size {
-                Some(size) => reader.take(size)?,
-                None => return Err(refused("POLYDATA", format!("{count} values of {name:?}"), "fewer")),
-            };
+            let (kind, components, count) = (headers.u8()?, headers.u8()?, headers.u32()?);
+            let end = names_end(names.rest())?;
+            let name = names.take(end + 1)?;
+            let size = usize::try_from(u64::from(components) * u64::from(count) * 4).unwrap_or(usize::MAX);
+            let values = reader.take(size)?;
             if kind != 0 || components != 1 {
                 continue;
             }
-            if count != points {
+            let name = text(name);
+            if count as usize != points {
                 let found = format!("{count} values of {name:?}");
-                return Err(refused("POLYDATA", found, &format!("{points}, one for each point")));
+                return Err(refused("POLYDATA", found, format!("{points}, one for each point")));
             }
-            let mut values = Reader::new(values);
-            let values = (0..count).map(|_| values.f32()).collect::<Result<_>>()?;
+            let values = values.as_chunks().0.iter().map(|&b| f32::from_be_bytes(b)).collect();
             data.scalars.push((name, values));
         }
-        Ok(data)
+        match reader.rest().len() {
+            0 => Ok(data),
+            more => Err(refused("POLYDATA", format!("{more} bytes after its content"), "none")),
+        }
     }
+}
+
+fn to_f32(values: impl Iterator<Item = f64>) -> Vec<f32> {
+    values.map(|value| value as f32).collect()
+}
+
+fn names_end(bytes: &[u8]) -> Result<usize> {
+    let end = bytes.iter().position(|&b| b == 0);
+    end.ok_or_else(|| refused("POLYDATA", "a name without an end", "a zero after each name"))
 }
 
 /// So many cells, each the count of its points and their indices.
 fn read_cells(bytes: &[u8], count: usize, points: usize) -> Result<Vec<Vec<u32>>> {
-    if count.checked_mul(4).is_none_or(|least| least > bytes.len()) {
+    if count as u64 * 4 > bytes.len() as u64 {
         return Err(refused(
             "POLYDATA",
             format!("{count} cells"),
-            &format!("what {} bytes hold", bytes.len()),
+            format!("what {} bytes hold", bytes.len()),
         ));
     }
     let mut reader = Reader::new(bytes);
     let mut cells = Vec::with_capacity(count);
     for _ in 0..count {
         let length = reader.u32()? as usize;
-        let size = length.saturating_mul(4);
-        let mut indices = Reader::new(reader.take(size)?);
-        let cell = (0..length).map(|_| indices.u32()).collect::<Result<Vec<u32>>>()?;
+        let indices = reader.take(length.saturating_mul(4))?;
+        let cell: Vec<u32> = indices.as_chunks().0.iter().map(|&b| u32::from_be_bytes(b)).collect();
         if let Some(index) = cell.iter().find(|&&index| index as usize >= points) {
-            return Err(refused("POLYDATA", format!("point {index}"), &format!("one below {points}")));
+            return Err(refused("POLYDATA", format!("point {index}"), format!("one below {points}")));
         }
         cells.push(cell);
     }

@@ -1,7 +1,14 @@
 //! Numbers and texts as they are sent.
 
-use super::refused;
-use crate::Result;
+use crate::{Error, Result};
+
+/// The number of UTF-8 in the registry of character sets.
+pub(super) const UTF_8: u16 = 106;
+
+/// An error about a message.
+pub(super) fn refused(field: &'static str, found: impl ToString, expected: impl ToString) -> Error {
+    Error::Recording { field, found: found.to_string(), expected: expected.to_string() }
+}
 
 /// Reads from the front of some bytes.
 pub(super) struct Reader<'a> {
@@ -16,7 +23,11 @@ impl<'a> Reader<'a> {
     /// So many bytes.
     pub fn take(&mut self, count: usize) -> Result<&'a [u8]> {
         let (taken, rest) = self.bytes.split_at_checked(count).ok_or_else(|| {
-            refused("OpenIGTLink message", format!("{} bytes left", self.bytes.len()), &count.to_string())
+            refused(
+                "OpenIGTLink message",
+                format!("{} bytes left", self.bytes.len()),
+                format!("{count} bytes"),
+            )
         })?;
         self.bytes = rest;
         Ok(taken)
@@ -53,6 +64,10 @@ impl<'a> Reader<'a> {
         self.array().map(f32::from_be_bytes)
     }
 
+    pub fn point(&mut self) -> Result<[f32; 3]> {
+        Ok([self.f32()?, self.f32()?, self.f32()?])
+    }
+
     /// Rows and columns of a transform, sent column by column.
     pub fn matrix(&mut self) -> Result<[[f32; 4]; 3]> {
         let mut matrix = [[0.0; 4]; 3];
@@ -76,11 +91,17 @@ pub(super) fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(&bytes[..end]).into_owned()
 }
 
+/// The start of a text that has at most so many bytes, cut between characters.
+pub(super) fn cut(text: &str, bytes: usize) -> &str {
+    let end = (0..=bytes.min(text.len())).rev().find(|&end| text.is_char_boundary(end)).unwrap_or(0);
+    &text[..end]
+}
+
 /// A text in a field of fixed length, cut between characters and filled with zeros.
 pub(super) fn put_name(bytes: &mut Vec<u8>, name: &str, length: usize) {
-    let end = (0..=length.min(name.len())).rev().find(|&end| name.is_char_boundary(end)).unwrap_or(0);
-    bytes.extend(name[..end].bytes());
-    bytes.resize(bytes.len() + length - end, 0);
+    let name = cut(name, length);
+    bytes.extend(name.bytes());
+    bytes.resize(bytes.len() + length - name.len(), 0);
 }
 
 /// A transform's rows and columns, column by column.

@@ -1,7 +1,7 @@
 //! Messages of OpenIGTLink, against the Python implementation that others use.
 
 use crate::support::python_with;
-use lumenmesh::openigtlink::{Content, Header, Message};
+use lumenmesh::openigtlink::{Content, Header, Message, Timestamp};
 
 fn decoded(bytes: &[u8]) -> Message {
     let (header, body) = bytes.split_first_chunk().unwrap();
@@ -34,7 +34,7 @@ for version in (1, 2):
     for (version, pair) in [(1, &messages[..2]), (2, &messages[2..])] {
         assert_eq!((pair[0].version, pair[0].device.as_str()), (version, "ProbeToTracker"));
         assert_eq!(pair[0].content, Content::Transform(MATRIX));
-        assert!((pair[0].time_s - 1_700_000_000.5).abs() < 1e-6);
+        assert!((pair[0].time.to_s() - 1_700_000_000.5).abs() < 1e-6);
         assert_eq!(pair[1].content, Content::Text("lumen".into()));
         assert_eq!(pair[0].metadata("TransformStatus"), (version == 2).then_some("OK"));
     }
@@ -48,7 +48,7 @@ fn pyigtl_reads_our_messages() {
     let mut bytes = Vec::new();
     for version in [1, 2] {
         for content in [Content::Transform(MATRIX), Content::Text("lumen".into())] {
-            let mut message = Message::new("Tip", 1_700_000_000.5, content);
+            let mut message = Message::new("Tip", Timestamp::from_s(1_700_000_000.5), content);
             message.version = version;
             message.metadata.push(("TransformStatus".into(), "OK".into()));
             bytes.extend(message.encode().unwrap());
