@@ -22,7 +22,8 @@ const MAX_POSES: usize = 4096;
 const MAX_WAITING: usize = 256;
 /// How much later other messages may be made until a contour has waited long enough for its pose, s.
 const MAX_WAIT_S: f64 = 0.5;
-/// A time that lies farther from the one before it is of another clock, or of a program that was started again, s.
+/// A time that lies farther from the one before it is of another clock, or of a program that was started
+/// again, s.
 const NEW_CLOCK_S: f64 = 10.0;
 /// How far from the probe's plane the points of its contour may lie, mm.
 const MAX_OFF_PLANE_MM: f32 = 0.01;
@@ -33,14 +34,14 @@ const MAX_OFF_PLANE_MM: f32 = 0.01;
 pub struct AssemblerOptions {
     /// The device whose `TRANSFORM` is the sensor in the world, or the tool's name in `TDATA`.
     pub pose_device: String,
-    /// The device whose `POINT`, `POLYDATA`, `IMAGE` or `STRING` has the contours. Without one, all of those of all devices count,
-    /// but for images: those of the ultrasound system come as `IMAGE` too.
+    /// The device whose `POINT`, `POLYDATA`, `IMAGE` or `STRING` has the contours. Without one, all of those
+    /// of all devices count, but for images: those of the ultrasound system come as `IMAGE` too.
     pub contour_device: Option<String>,
-    /// How images become contours. Without a threshold it is half of the largest pixel of all images so far, without the size of
-    /// a pixel the image's matrix is taken for `ImageToProbe`.
+    /// How images become contours. Without a threshold it is half of the largest pixel of all images so far,
+    /// without the size of a pixel the image's matrix is taken for `ImageToProbe`.
     pub mask: MaskOptions,
-    /// The longest time between two poses, s, within which the pose of a contour between them is interpolated. PLUS does not send
-    /// poses that are invalid: a longer gap means that there was none.
+    /// The longest time between two poses, s, within which the pose of a contour between them is
+    /// interpolated. PLUS does not send poses that are invalid: a longer gap means that there was none.
     pub max_pose_gap_s: f64,
     /// How much later than the image was taken contours are stamped, s: the time that a segmentation takes.
     pub contour_delay_s: f64,
@@ -142,15 +143,18 @@ impl fmt::Display for FrameCounts {
 /// Joins poses and contours of the same moment to frames.
 ///
 /// The rules:
-/// - A contour has the pose with its own time. Where there is none it waits until a later pose has come, and has the pose between
-///   the two, if they are no farther apart than [`max_pose_gap_s`](AssemblerOptions::max_pose_gap_s) and both are OK; else the frame has
-///   [no pose](Pose::LOST).
+/// - A contour has the pose with its own time. Where there is none it waits until a later pose has come, and
+///   has the pose between the two, if they are no farther apart than
+///   [`max_pose_gap_s`](AssemblerOptions::max_pose_gap_s) and both are OK; else the frame has [no
+///   pose](Pose::LOST).
 /// - It waits no longer than until some message was made 0.5 s after it; then the frame has no pose.
-/// - A pose whose status is not `OK` says that there is none at its time. The status is the metadata `TransformStatus` of a
-///   `TRANSFORM` and `<tool>Status` of a `TDATA`; without one the pose is OK.
-/// - Frames leave in the order of their times. A contour that comes after the frame of a later one was made is left out, and so is
-///   one of a time that was there already; of two poses with one time the first counts.
-/// - Where times go back by more than 10 s, or poses on, they are of another clock: what was remembered is forgotten.
+/// - A pose whose status is not `OK` says that there is none at its time. The status is the metadata
+///   `TransformStatus` of a `TRANSFORM` and `<tool>Status` of a `TDATA`; without one the pose is OK.
+/// - Frames leave in the order of their times. A contour that comes after the frame of a later one was made
+///   is left out, and so is one of a time that was there already; of two poses with one time the first
+///   counts.
+/// - Where times go back by more than 10 s, or poses on, they are of another clock: what was remembered is
+///   forgotten.
 /// - A contour without a time has the pose that came last, and the frame no time.
 /// - A text is a frame by itself and leaves at once, with its own time.
 ///
@@ -208,8 +212,8 @@ impl FrameAssembler {
     /// Takes a message and returns the frames that it completes, in the order of their times.
     ///
     /// # Errors
-    /// [`Error::Recording`] where the message should have a pose, a contour or a frame and has none that can be used. It is then
-    /// left out, and the next can be taken.
+    /// [`Error::Recording`] where the message should have a pose, a contour or a frame and has none that can
+    /// be used. It is then left out, and the next can be taken.
     pub fn push(&mut self, message: &Message) -> Result<Vec<Frame>> {
         let named = |error: Error| match error {
             Error::Recording { field, found, expected } => {

@@ -24,8 +24,8 @@ const LOST_AFTER: Duration = Duration::from_secs(30);
 const FIRST_WAIT: Duration = Duration::from_millis(100);
 const LAST_WAIT: Duration = Duration::from_secs(2);
 
-/// The addresses that a text names: `host:port`, `host`, `port` or `:port`. Without a host it is this machine (127.0.0.1), without
-/// a port 18944.
+/// The addresses that a text names: `host:port`, `host`, `port` or `:port`. Without a host it is this machine
+/// (127.0.0.1), without a port 18944.
 pub(super) fn addresses_of(text: &str) -> Result<Vec<SocketAddr>> {
     let failed = |source| Error::Connection { address: text.to_owned(), source };
     let text = text.trim();
@@ -122,8 +122,8 @@ fn connected(addresses: &[SocketAddr], options: &ClientOptions) -> io::Result<Tc
     Err(failed)
 }
 
-/// Sends a request with header 2: PLUS answers with the highest version that it has seen, and only header 2 says whether a
-/// transform is valid.
+/// Sends a request with header 2: PLUS answers with the highest version that it has seen, and only header 2
+/// says whether a transform is valid.
 fn ask(stream: &mut TcpStream, content: Content) -> io::Result<()> {
     let message = Message::new("lumenmesh", Timestamp::now(), content).with_version(2);
     let bytes = message.encode().map_err(io::Error::other)?;

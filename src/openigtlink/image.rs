@@ -106,11 +106,12 @@ impl ImageContent {
         Ok(())
     }
 
-    /// The image as a plane, and where its pixels lie: the transform from pixels to the coordinates of the matrix, mm. The plane
-    /// leaves out an axis along which there is one pixel, the last such.
+    /// The image as a plane, and where its pixels lie: the transform from pixels to the coordinates of the
+    /// matrix, mm. The plane leaves out an axis along which there is one pixel, the last such.
     ///
     /// # Errors
-    /// [`Error::Recording`](crate::Error::Recording) where it is a volume, or has more than one number in a pixel.
+    /// [`Error::Recording`](crate::Error::Recording) where it is a volume, or has more than one number in a
+    /// pixel.
     pub fn plane(&self) -> Result<(Image, DMat4)> {
         self.check()?;
         let flat = (0..3).rev().find(|&axis| self.size[axis] == 1);

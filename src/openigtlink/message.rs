@@ -8,8 +8,8 @@ use crate::Result;
 
 /// Bytes of a header.
 pub const HEADER_BYTES: usize = 58;
-/// The largest body that is read, bytes: an image of 8192 × 8192 pixels. A message that is read takes at most eight times
-/// its bytes in memory.
+/// The largest body that is read, bytes: an image of 8192 × 8192 pixels. A message that is read takes at most
+/// eight times its bytes in memory.
 pub const MAX_BODY_BYTES: u64 = 1 << 26;
 /// Bytes of a device's name in a header.
 pub(super) const DEVICE_BYTES: usize = 20;
@@ -53,8 +53,8 @@ impl Header {
     /// Reads a header.
     ///
     /// # Errors
-    /// [`Error::Recording`](crate::Error::Recording) where it is of another version or its kind is no name: then these bytes
-    /// are no header, and nothing after them can be understood.
+    /// [`Error::Recording`](crate::Error::Recording) where it is of another version or its kind is no name:
+    /// then these bytes are no header, and nothing after them can be understood.
     pub fn decode(bytes: &[u8; HEADER_BYTES]) -> Result<Self> {
         let mut reader = Reader::new(bytes);
         let version = reader.u16()?;
@@ -93,8 +93,8 @@ impl Header {
     /// Reads the body that follows the header.
     ///
     /// # Errors
-    /// [`Error::Recording`](crate::Error::Recording) where its length or its checksum is not the header's, or it is not what
-    /// its kind asks for; where its kind is not [known](Self::is_known).
+    /// [`Error::Recording`](crate::Error::Recording) where its length or its checksum is not the header's, or
+    /// it is not what its kind asks for; where its kind is not [known](Self::is_known).
     pub fn decode_body(&self, body: &[u8]) -> Result<Message> {
         if body.len() != self.check_size()? {
             return Err(refused("bytes of an OpenIGTLink body", body.len(), self.body_bytes));
@@ -147,8 +147,8 @@ impl Message {
     /// Header and body. A header 1 holds 20 bytes of the device's name and no metadata.
     ///
     /// # Errors
-    /// [`Error::Recording`](crate::Error::Recording) where the body would be longer than [`MAX_BODY_BYTES`], and where the
-    /// content or the metadata is longer than its fields can say.
+    /// [`Error::Recording`](crate::Error::Recording) where the body would be longer than [`MAX_BODY_BYTES`],
+    /// and where the content or the metadata is longer than its fields can say.
     pub fn encode(&self) -> Result<Vec<u8>> {
         if !(1..=2).contains(&self.version) {
             return Err(refused("version of an OpenIGTLink header", self.version, "1 or 2"));

@@ -6,12 +6,12 @@
 //! a program ► server┘
 //! ```
 //!
-//! A [`Source`] takes messages from any number of connections and joins poses and contours to frames by their times; a
-//! [`Server`] sends the vessel, the catheter's tip and texts to whoever is connected. Connections run on threads of their own
-//! and keep to 127.0.0.1 unless an address says otherwise.
+//! A [`Source`] takes messages from any number of connections and joins poses and contours to frames by their
+//! times; a [`Server`] sends the vessel, the catheter's tip and texts to whoever is connected. Connections
+//! run on threads of their own and keep to 127.0.0.1 unless an address says otherwise.
 //!
-//! Versions 1 to 3 of the protocol (headers 1 and 2, with metadata) are understood. Sizes are checked before anything is
-//! allocated, and a body is never trusted to be as long as it says.
+//! Versions 1 to 3 of the protocol (headers 1 and 2, with metadata) are understood. Sizes are checked before
+//! anything is allocated, and a body is never trusted to be as long as it says.
 
 mod assembler;
 mod client;

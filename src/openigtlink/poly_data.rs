@@ -20,15 +20,16 @@ pub struct PolyData {
     pub scalars: Vec<(String, Vec<f32>)>,
 }
 
-/// Bytes before the points: their count, and count and bytes of each kind of cells, and the count of attributes.
+/// Bytes before the points: their count, and count and bytes of each kind of cells, and the count of
+/// attributes.
 const COUNTS: usize = 40;
 
 /// The arrays of a surface that are sent, where it has them.
 const ARRAYS: [&str; 3] = ["support", "standard_error_mm", "supported"];
 
 impl PolyData {
-    /// A vessel as triangle strips, with its arrays `support`, `standard_error_mm` and `supported`, as far as it has them. Positions
-    /// are rounded to single precision.
+    /// A vessel as triangle strips, with its arrays `support`, `standard_error_mm` and `supported`, as far as
+    /// it has them. Positions are rounded to single precision.
     pub fn of_surface(surface: &Surface) -> Self {
         let array = |name: &&str| Some((String::from(*name), to_f32(surface.array(name)?.iter().copied())));
         Self {
@@ -77,8 +78,8 @@ impl PolyData {
         Ok(())
     }
 
-    /// Reads points, lines, polygons, strips, and the scalars of one component that points have. Cells of single points and
-    /// other attributes are passed over.
+    /// Reads points, lines, polygons, strips, and the scalars of one component that points have. Cells of
+    /// single points and other attributes are passed over.
     pub(super) fn decode(bytes: &[u8]) -> Result<Self> {
         let mut reader = Reader::new(bytes);
         let points = reader.u32()? as usize;

@@ -39,7 +39,8 @@ pub struct ServerOptions {
     pub tip_device: String,
     /// Name of status and texts.
     pub device: String,
-    /// Shortest time between two vessels that [`Server::wants_vessel`] asks for, s. Slicer replaces the whole model each time.
+    /// Shortest time between two vessels that [`Server::wants_vessel`] asks for, s. Slicer replaces the whole
+    /// model each time.
     pub vessel_interval_s: f64,
 }
 
@@ -63,9 +64,10 @@ crate::setters::setters!(ServerOptions {
 
 /// Sends a vessel that grows, the catheter's tip, its status and texts to all who are connected.
 ///
-/// Nothing here waits for a client: for each there waits the newest vessel, the newest tip and a few texts, and what was not
-/// sent yet gives way to what is newer. A vessel that is being sent is sent whole. Who connects later gets the newest vessel at
-/// once. Messages have the version of header that a client has sent itself, 1 until it has sent 2, as with PLUS.
+/// Nothing here waits for a client: for each there waits the newest vessel, the newest tip and a few texts,
+/// and what was not sent yet gives way to what is newer. A vessel that is being sent is sent whole. Who
+/// connects later gets the newest vessel at once. Messages have the version of header that a client has sent
+/// itself, 1 until it has sent 2, as with PLUS.
 ///
 /// Dropping it sends what waits, for at most a second, and ends its threads.
 #[derive(Debug)]
@@ -92,7 +94,8 @@ struct Newest {
     sent: Option<Instant>,
 }
 
-/// A vessel on its way. It becomes bytes on the thread of the first client that takes it, once for each version of header.
+/// A vessel on its way. It becomes bytes on the thread of the first client that takes it, once for each
+/// version of header.
 #[derive(Debug)]
 struct Vessel {
     surface: Surface,
@@ -224,7 +227,8 @@ impl Outbox {
 }
 
 impl Server {
-    /// Waits for clients at `host:port`, `host` or `port`, by default at 127.0.0.1 and port 18944; port 0: any that is free.
+    /// Waits for clients at `host:port`, `host` or `port`, by default at 127.0.0.1 and port 18944; port 0:
+    /// any that is free.
     ///
     /// # Errors
     /// [`Error::Connection`] where the address cannot be used, such as that of another server.
@@ -240,8 +244,8 @@ impl Server {
         Self::with_inbox(address, options, None, false)
     }
 
-    /// As [`with_options`](Self::with_options); what clients send goes to `inbox`, until the last client is gone where that
-    /// should end it.
+    /// As [`with_options`](Self::with_options); what clients send goes to `inbox`, until the last client is
+    /// gone where that should end it.
     pub(super) fn with_inbox(
         address: &str,
         options: &ServerOptions,
@@ -281,8 +285,9 @@ impl Server {
         lock(&self.shared.peers).iter().filter(|peer| !peer.is_done()).count()
     }
 
-    /// Whether a client is there that has all that was sent, and the [interval](ServerOptions::vessel_interval_s) since the last
-    /// vessel is over: only then is it worth making a surface.
+    /// Whether a client is there that has all that was sent, and the
+    /// [interval](ServerOptions::vessel_interval_s) since the last vessel is over: only then is it worth
+    /// making a surface.
     pub fn wants_vessel(&self) -> bool {
         let interval = Duration::from_secs_f64(self.shared.options.vessel_interval_s);
         if lock(&self.shared.newest).sent.is_some_and(|sent| sent.elapsed() < interval) {
@@ -295,7 +300,8 @@ impl Server {
         lock(&self.shared.peers).iter().any(has_all)
     }
 
-    /// Sends a vessel to all; one that waits is replaced. A surface without triangles is not sent: Slicer cannot take it.
+    /// Sends a vessel to all; one that waits is replaced. A surface without triangles is not sent: Slicer
+    /// cannot take it.
     pub fn send_vessel(&self, surface: &Surface) {
         if surface.triangles.is_empty() {
             return;
@@ -313,9 +319,9 @@ impl Server {
         self.to_all(|outbox| outbox.put(|waiting| waiting.vessel = Some(Arc::clone(&vessel))));
     }
 
-    /// Sends where the catheter's tip is, in the tracker's coordinates, to all, with the time of the frame in the metadata
-    /// `FrameTime`, s. A [lost](Pose::LOST) pose is sent with the metadata `TransformStatus` `INVALID`, and not to clients of
-    /// header 1, which could not tell.
+    /// Sends where the catheter's tip is, in the tracker's coordinates, to all, with the time of the frame in
+    /// the metadata `FrameTime`, s. A [lost](Pose::LOST) pose is sent with the metadata `TransformStatus`
+    /// `INVALID`, and not to clients of header 1, which could not tell.
     pub fn send_tip(&self, world_from_tip: Pose, time_s: Option<f64>) {
         let is_ok = world_from_tip.is_finite();
         let pose = if is_ok { world_from_tip } else { Pose::IDENTITY };

@@ -94,9 +94,9 @@ impl Stopper {
     }
 }
 
-/// Frames out of any number of connections, as the [`FrameAssembler`] makes them. As an iterator it waits for the next frame; an
-/// error is about something that was left out, or a connection that was lost, and the next frame may follow. It ends when all
-/// connections have ended, or when it is [stopped](Stopper).
+/// Frames out of any number of connections, as the [`FrameAssembler`] makes them. As an iterator it waits for
+/// the next frame; an error is about something that was left out, or a connection that was lost, and the next
+/// frame may follow. It ends when all connections have ended, or when it is [stopped](Stopper).
 ///
 /// ```no_run
 /// use lumenmesh::openigtlink::{Source, SourceOptions};
@@ -146,8 +146,9 @@ impl Source {
         })
     }
 
-    /// Takes messages of a server, such as PLUS on port 18944, and returns its address. A connection that is lost is made again: after 0.1 s, then after
-    /// twice as long each time up to 2 s, until [`give_up_s`](SourceOptions::give_up_s) have passed since it was lost.
+    /// Takes messages of a server, such as PLUS on port 18944, and returns its address. A connection that is
+    /// lost is made again: after 0.1 s, then after twice as long each time up to 2 s, until
+    /// [`give_up_s`](SourceOptions::give_up_s) have passed since it was lost.
     ///
     /// # Errors
     /// [`Error::Connection`] where there is no server at that address: it has to be there first.
@@ -219,7 +220,8 @@ impl Iterator for Source {
 }
 
 impl Drop for Source {
-    /// Ends all connections and joins their threads; servers that others hold go on, without giving messages to anyone.
+    /// Ends all connections and joins their threads; servers that others hold go on, without giving messages
+    /// to anyone.
     fn drop(&mut self) {
         self.queue.stop();
     }

@@ -10,7 +10,8 @@ pub const MAX_SKIPPED_BYTES: u64 = 1 << 30;
 /// Bytes that are asked for at once. What is allocated for a body grows with what has come of it.
 const PIECE: usize = 1 << 16;
 
-/// Reads messages one after the other. A read that is interrupted, such as by a socket's timeout, loses nothing.
+/// Reads messages one after the other. A read that is interrupted, such as by a socket's timeout, loses
+/// nothing.
 #[derive(Debug)]
 pub struct MessageReader<R> {
     stream: R,

@@ -1,10 +1,12 @@
 //! Triangles as strips.
 
-/// The triangles as strips: runs of nodes of which every three that follow each other are a triangle, every second one turned
-/// about. All triangles keep their orientation; those that name a node that is not there are left out.
+/// The triangles as strips: runs of nodes of which every three that follow each other are a triangle, every
+/// second one turned about. All triangles keep their orientation; those that name a node that is not there
+/// are left out.
 ///
-/// A strip begins at the first triangle that is left and goes on over the last edge as long as there is a neighbour; of the
-/// three that can begin there, the longest is taken. The mesh of a vessel becomes about one strip a ring.
+/// A strip begins at the first triangle that is left and goes on over the last edge as long as there is a
+/// neighbour; of the three that can begin there, the longest is taken. The mesh of a vessel becomes about one
+/// strip a ring.
 pub(super) fn strips(triangles: &[[u32; 3]], nodes: usize) -> Vec<Vec<u32>> {
     let mut left = Left::of(triangles, nodes);
     let mut strips = Vec::new();
@@ -59,12 +61,14 @@ impl<'a> Left<'a> {
         Self { triangles, is_left, starts, edges }
     }
 
-    /// Takes triangles from `first` on, whose corners are `start`, and returns the strip's nodes and its triangles.
+    /// Takes triangles from `first` on, whose corners are `start`, and returns the strip's nodes and its
+    /// triangles.
     fn take_strip(&mut self, first: usize, start: [u32; 3]) -> (Vec<u32>, Vec<usize>) {
         let (mut strip, mut taken) = (start.to_vec(), vec![first]);
         self.is_left[first] = false;
         while let [.., p, q] = strip[..] {
-            // The neighbour runs along the shared edge the other way; every second triangle of a strip is turned about.
+            // The neighbour runs along the shared edge the other way; every second triangle of a strip is
+            // turned about.
             let (from, to) = if strip.len() % 2 == 1 { (q, p) } else { (p, q) };
             let Some((triangle, node)) = self.along(from, to) else { break };
             self.is_left[triangle] = false;

@@ -4,7 +4,8 @@ use std::time::SystemTime;
 
 /// When a message was made: 2⁻³² s since 1970 in UTC; 0 where the sender does not say.
 ///
-/// Whole numbers, because an f64 of today's seconds since 1970 has steps of 0.24 µs; differences within 24 days are exact.
+/// Whole numbers, because an f64 of today's seconds since 1970 has steps of 0.24 µs; differences within 24
+/// days are exact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Hash)]
 pub struct Timestamp(pub u64);
 
