@@ -2,7 +2,7 @@
 # Installs what the tests need and runs all of them.
 #
 # On Debian and Ubuntu, as root or with sudo, missing pieces come from apt: the software Vulkan driver where no
-# adapter is found, Octave, Chromium, and a Python environment with VTK, SimpleITK and pynrrd under target/. Tests
+# adapter is found, Octave, Chromium, libOpenIGTLink, and a Python environment with VTK, SimpleITK, pynrrd and pyigtl under target/. Tests
 # whose tool or data is still missing say SKIPPED; with LUMENMESH_REQUIRE_GPU=1, LUMENMESH_REQUIRE_DATA=1 or LUMENMESH_REQUIRE_TOOLS=1 they
 # fail instead. LUMENMESH_SHARED names the folder of recordings and truth surfaces (default: ../shared).
 #
@@ -37,17 +37,18 @@ target/debug/lumenmesh devices || true
 
 say "other tools"
 command -v octave-cli >/dev/null || apt_install octave || echo "octave-cli is missing: its tests will be skipped"
-for tool in cmake pkg-config valgrind chromium; do
+[ -d /usr/include/openigtlink ] || apt_install libopenigtlink-dev || echo "libopenigtlink-dev is missing: its test will be skipped"
+for tool in cmake g++ pkg-config valgrind chromium; do
   command -v "$tool" >/dev/null || apt_install "$tool" || echo "$tool is missing: its tests will be skipped"
 done
 if [ -z "${LUMENMESH_PYTHON:-}" ]; then
   venv=target/python
-  if ! "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd' 2>/dev/null; then
+  if ! "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd, pyigtl' 2>/dev/null; then
     apt_install libgl1 libxrender1 || true
-    { python3 -m venv "$venv" && "$venv/bin/pip" install -q --disable-pip-version-check numpy scipy vtk SimpleITK pynrrd; } ||
-      echo "no Python with VTK, SimpleITK and pynrrd: its tests will be skipped"
+    { python3 -m venv "$venv" && "$venv/bin/pip" install -q --disable-pip-version-check numpy scipy vtk SimpleITK pynrrd pyigtl; } ||
+      echo "no Python with VTK, SimpleITK, pynrrd and pyigtl: its tests will be skipped"
   fi
-  if "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd' 2>/dev/null; then export LUMENMESH_PYTHON="$PWD/$venv/bin/python"; fi
+  if "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd, pyigtl' 2>/dev/null; then export LUMENMESH_PYTHON="$PWD/$venv/bin/python"; fi
 fi
 
 log=$(mktemp)
@@ -74,7 +75,7 @@ else
   echo "SKIPPED: the Python package: no Python with NumPy under target/"
   [ "${LUMENMESH_REQUIRE_TOOLS:-}" != 1 ] || status=1
 fi
-run cargo test "${chosen[@]}" --bench distance --bench fit --bench live -- --test
+run cargo test "${chosen[@]}" --bench distance --bench fit --bench live --bench openigtlink -- --test
 # Each feature builds alone, and the library without any.
 for features in "" cli gpu render; do
   run cargo check --quiet --no-default-features --features "$features"

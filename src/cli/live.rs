@@ -2,12 +2,14 @@ use super::reconstruct::print_left_out;
 use super::settings::SettingsArguments;
 use super::space::SpaceArgument;
 use super::{Shown, interrupt, print_json, progress, refuse_inputs};
+use crate::openigtlink::{self, AssemblerOptions, Server, SourceOptions};
 use crate::reconstruction::{Live, Work};
 use crate::recording::{Finding, LeftOut, Recording, Screening};
 use crate::settings::Settings;
 use crate::stream::{
-    ArrivalsReport, Ended, Faults, Files, FrameLog, Outcome, PageServer, Percentiles, Queue, Recorded, Sink,
-    Source, Stages, TimesReport, WhenFull, connect, listen, peak_memory_bytes, read_lines, run,
+    ArrivalsReport, End, Ended, Faults, Files, FrameLog, Outcome, PageServer, Percentiles, Queue, Recorded,
+    Sink, Slicer, Source, Stages, TimesReport, WhenFull, connect, listen, peak_memory_bytes, read_lines, run,
+    take_messages,
 };
 use crate::surface::Surface;
 use crate::{Error, Result, surface};
@@ -21,7 +23,7 @@ use std::time::{Duration, Instant};
 
 /// Reconstruct while frames come, and show the vessel as it grows
 ///
-/// Frames come from a recording at its own pace, or from another program as JSON, one frame per line (docs/live.md):
+/// Frames come from a recording at its own pace, by OpenIGTLink, or as JSON, one frame per line (docs/live.md):
 /// {"time_s": 1.25, "pose": [16 numbers, row by row, mm] or null, "contour": [[x, y], …] in mm, null where there is no echo}.
 ///
 /// Frames are taken in the order in which they come. A line that is no frame is skipped, counted and told. Where frames of a
@@ -36,21 +38,35 @@ use std::time::{Duration, Instant};
   my_tracker | lumenmesh live - -o vessel.vtp --finish               # in the end, the mesh of all frames at once
   lumenmesh live --listen 7000 --view -o vessel.vtp --save-every 5s --snapshot vessel.state
   lumenmesh live --listen 7000 --view -o vessel.vtp --save-every 5s --snapshot vessel.state --resume
+  lumenmesh live --igtl-connect 127.0.0.1:18944 --igtl-serve 18945 --view   # from PLUS, to 3D Slicer and a browser
   lumenmesh import recording pullback.mat -o pullback.ndjson && lumenmesh live - -o vessel.vtp < pullback.ndjson")]
 pub(super) struct Arguments {
     /// Recording: a .mat file, a folder of CSV files, a sequence or .ndjson file; or - for frames as JSON from a pipe
-    #[arg(value_name = "REC", required_unless_present_any = ["listen", "connect"])]
-    #[arg(conflicts_with_all = ["listen", "connect"])]
+    #[arg(value_name = "REC", required_unless_present_any = ["listen", "connect", "igtl_connect", "igtl_listen"])]
+    #[arg(conflicts_with_all = ["listen", "connect", "igtl_connect", "igtl_listen"])]
     recording: Option<PathBuf>,
     /// Wait on this port for programs that send frames as JSON; of this machine only, unless an IP address says otherwise
-    #[arg(long, value_name = "[IP:]PORT", value_parser = address, conflicts_with = "connect")]
+    #[arg(long, value_name = "[IP:]PORT", value_parser = address)]
+    #[arg(conflicts_with_all = ["connect", "igtl_connect", "igtl_listen"])]
     listen: Option<SocketAddr>,
     /// End with the first connection, instead of waiting for the next
-    #[arg(long, requires = "listen")]
+    #[arg(long)]
     once: bool,
     /// Connect to a program that sends frames as JSON, and end with the connection
-    #[arg(long, value_name = "HOST:PORT")]
+    #[arg(long, value_name = "HOST:PORT", conflicts_with_all = ["igtl_connect", "igtl_listen"])]
     connect: Option<String>,
+    /// Connect to a server of OpenIGTLink, such as PLUS, for poses and contours; may be given several times
+    #[arg(long, value_name = "HOST:PORT")]
+    igtl_connect: Vec<String>,
+    /// Wait on this port for clients of OpenIGTLink that send poses and contours; they get the vessel too
+    #[arg(long, value_name = "[IP:]PORT")]
+    igtl_listen: Option<String>,
+    /// Of OpenIGTLink: the device whose transforms are the pose, or the tool's name in TDATA [default: ProbeToTracker]
+    #[arg(long, value_name = "NAME")]
+    pose_device: Option<String>,
+    /// Of OpenIGTLink: the device of the contours or masks [default: any, but no masks]
+    #[arg(long, value_name = "NAME")]
+    contour_device: Option<String>,
     /// How many times faster than it was recorded a recording is played, or max [default: 1]
     #[arg(long, value_name = "X", value_parser = speed, requires = "recording")]
     speed: Option<Speed>,
@@ -80,6 +96,9 @@ pub(super) struct Arguments {
     /// Serve a page that shows the vessel as it grows, to browsers of this machine [default port: 8037]
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8037")]
     view: Option<u16>,
+    /// Serve the vessel and the catheter's tip by OpenIGTLink on this port, such as to 3D Slicer
+    #[arg(long, value_name = "[IP:]PORT")]
+    igtl_serve: Option<String>,
     /// After the last frame, go on serving the page until Ctrl-C
     #[arg(long, requires = "view")]
     hold: bool,
@@ -198,6 +217,11 @@ impl Arguments {
             listen: None,
             once: false,
             connect: None,
+            igtl_connect: Vec::new(),
+            igtl_listen: None,
+            pose_device: None,
+            contour_device: None,
+            igtl_serve: None,
             queue: 1,
             no_drop: false,
             save_every: None,
@@ -222,7 +246,7 @@ impl Arguments {
         let mut name = self.recording.clone().unwrap_or_default();
         let mut sinks = self.sinks(&live, &name)?;
         interrupt::end_in_order();
-        let mut source = self.source(recording.as_ref(), live.frames(), &mut name)?;
+        let mut source = self.source(recording.as_ref(), live.frames(), &mut name, &mut sinks)?;
 
         let start = Instant::now();
         let count =
@@ -240,7 +264,8 @@ impl Arguments {
         }
         let (mesh, failed) = self.mesh(&live, &outcome, &name);
         let text = format!("{} frames in {:.0} s.", outcome.times.len(), start.elapsed().as_secs_f64());
-        sinks.iter_mut().for_each(|sink| sink.end(mesh.as_ref().filter(|_| self.finish), &text));
+        let end = End { mesh: mesh.as_ref(), is_finished: self.finish, text: &text };
+        sinks.iter_mut().for_each(|sink| sink.end(&end));
         self.print(&live, &outcome, mesh.as_ref(), recording.as_deref(), &name, resumed_from)?;
         failed?;
         if self.hold {
@@ -264,6 +289,17 @@ impl Arguments {
         self.log.as_deref().map_or(Ok(()), FrameLog::check_ending)?;
         if let (Some(every), None, None) = (self.save_every, &self.output, &self.snapshot) {
             return Err(Error::setting("--save-every", format!("{every:?}"), "-o or --snapshot with it"));
+        }
+        if self.once && self.listen.is_none() && self.igtl_listen.is_none() {
+            return Err(Error::setting("--once", "no port to wait on", "--listen or --igtl-listen with it"));
+        }
+        let is_igtl = !self.igtl_connect.is_empty() || self.igtl_listen.is_some();
+        if (self.pose_device.is_some() || self.contour_device.is_some()) && !is_igtl {
+            return Err(Error::setting(
+                "--pose-device",
+                "no OpenIGTLink",
+                "--igtl-connect or --igtl-listen with it",
+            ));
         }
         if self.speed.is_some() && self.recording.as_deref() == Some(Path::new("-")) {
             return Err(Error::setting("--speed", "a pipe, which has its own pace", "a recording"));
@@ -307,7 +343,8 @@ impl Arguments {
 
     fn sinks(&self, live: &Live, name: &Path) -> Result<Vec<Box<dyn Sink>>> {
         let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
-        let mesh = self.output.clone().filter(|_| self.save_every.is_some()).map(|path| (path, self.space.name()));
+        let mesh =
+            self.output.clone().filter(|_| self.save_every.is_some()).map(|path| (path, self.space.name()));
         if mesh.is_some() || self.snapshot.is_some() {
             sinks.push(Box::new(Files::new(self.save_every.unwrap_or(EVERY), mesh, self.snapshot.clone())));
         }
@@ -320,11 +357,22 @@ impl Arguments {
             eprintln!("lumenmesh: page http://{}/", page.address());
             sinks.push(Box::new(page));
         }
+        if let Some(address) = &self.igtl_serve {
+            let server = Server::start(address)?;
+            eprintln!("lumenmesh: OpenIGTLink on {}", server.address());
+            sinks.push(Box::new(Slicer::new(Arc::new(server))));
+        }
         Ok(sinks)
     }
 
-    /// Where frames come from; `name` becomes what people call it.
-    fn source(&self, recording: Option<&Arc<Recording>>, first: usize, name: &mut PathBuf) -> Result<Source> {
+    /// Where frames come from; `name` becomes what people call it. Who sends by OpenIGTLink to a port gets the vessel there.
+    fn source(
+        &self,
+        recording: Option<&Arc<Recording>>,
+        first: usize,
+        name: &mut PathBuf,
+        sinks: &mut Vec<Box<dyn Sink>>,
+    ) -> Result<Source> {
         if let Some(recording) = recording {
             let speed = match self.speed.unwrap_or(Speed::Times(1.0)) {
                 Speed::Times(times) => Some(times),
@@ -333,7 +381,7 @@ impl Arguments {
             return Ok(Source::Recorded(Recorded::new(Arc::clone(recording), first, speed)));
         }
         // A pipe waits: what is in it may well be a file.
-        let is_pipe = self.listen.is_none() && self.connect.is_none();
+        let is_pipe = self.recording.is_some();
         let when_full = if self.no_drop || is_pipe { WhenFull::Wait } else { WhenFull::DropOldest };
         let queue = Queue::new(self.queue, when_full);
         match (self.listen, &self.connect) {
@@ -346,9 +394,34 @@ impl Arguments {
                 connect(address, &queue)?;
                 *name = address.into();
             }
-            _ => read_lines(BufReader::new(std::io::stdin()), "stdin", &queue),
+            _ if is_pipe => read_lines(BufReader::new(std::io::stdin()), "stdin", &queue),
+            _ => {
+                let options = self.openigtlink();
+                let mut messages = openigtlink::Source::new(&options)?;
+                let mut names = Vec::new();
+                for address in &self.igtl_connect {
+                    names.push(messages.connect(address)?.to_string());
+                }
+                if let Some(address) = &self.igtl_listen {
+                    let server = messages.listen(address)?;
+                    eprintln!("lumenmesh: waiting for OpenIGTLink on {}", server.address());
+                    names.push(server.address().to_string());
+                    sinks.push(Box::new(Slicer::new(server)));
+                }
+                *name = names.join(", ").into();
+                take_messages(messages, &queue);
+            }
         }
         Ok(Source::Queued(queue))
+    }
+
+    fn openigtlink(&self) -> SourceOptions {
+        let assembler = AssemblerOptions::default().with_contour_device(self.contour_device.clone());
+        let assembler = match &self.pose_device {
+            Some(name) => assembler.with_pose_device(name.clone()),
+            None => assembler,
+        };
+        SourceOptions::default().with_assembler(assembler).with_until_disconnected(self.once)
     }
 
     /// The final mesh, written where one is asked for, or why there is none.

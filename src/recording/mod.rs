@@ -20,12 +20,12 @@ pub(crate) use cylinder::MAX_RADIUS_MM;
 pub use finding::{Example, Finding};
 pub(crate) use formats::Table;
 pub use formats::ndjson::{BadLine, FrameLines};
-pub use mask::{MaskOptions, Masks};
+pub use mask::{MaskContour, MaskFound, MaskOptions, Masks};
 pub use pullback::{Pullback, PullbackOptions, PullbackPath};
 pub(crate) use screening::{Judged, LiveScreening};
 pub use screening::{LeftOut, NoEcho, Reason, RingDown, Screened, Screening, UnfitFrames};
 pub use sequence::{
-    CONTOUR_X, CONTOUR_Y, Image, Sequence, SequenceContents, SequenceImages, TransformContents,
+    CONTOUR_X, CONTOUR_Y, Image, PixelType, Sequence, SequenceContents, SequenceImages, TransformContents,
 };
 pub use summary::{MinMedianMax, Summary};
 

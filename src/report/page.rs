@@ -131,7 +131,12 @@ impl Page {
 
     /// The same mesh to turn and measure, as a page within this one; on paper the pictures remain. A mesh that would make the
     /// page too large is left to `lumenmesh view`.
-    pub fn viewer(&mut self, name: &str, surface: &Surface, recording: Option<(&Recording, Pose)>) -> &mut Self {
+    pub fn viewer(
+        &mut self,
+        name: &str,
+        surface: &Surface,
+        recording: Option<(&Recording, Pose)>,
+    ) -> &mut Self {
         const MOST_NODES: usize = 100_000;
         if surface.nodes_mm.len() > MOST_NODES {
             let nodes = surface.nodes_mm.len();
@@ -229,7 +234,8 @@ mod tests {
             triangles: vec![[0, 1, 2]],
             arrays: Vec::new(),
         };
-        let frame = Frame::new(Pose { translation_mm: DVec3::splat(1.0 / 3.0), ..Pose::IDENTITY }, vec![DVec2::X]);
+        let frame =
+            Frame::new(Pose { translation_mm: DVec3::splat(1.0 / 3.0), ..Pose::IDENTITY }, vec![DVec2::X]);
         let recording = Recording { frames: vec![frame] };
         let html = |surface: &Surface| {
             let mut page = Page::new("report");
@@ -239,7 +245,9 @@ mod tests {
         let page = html(&surface);
         let inner = page.split(" srcdoc=\"").nth(1).unwrap().split_once('"').unwrap().0;
         assert!(inner.starts_with("&lt;!DOCTYPE html&gt;") && inner.ends_with("&lt;/html&gt;\n"));
-        assert!(inner.contains("0.3333]") && !inner.contains("0.33333") && !inner.contains("contour_mm&quot;:"));
+        assert!(
+            inner.contains("0.3333]") && !inner.contains("0.33333") && !inner.contains("contour_mm&quot;:")
+        );
         assert!(page.contains("sandbox=\"allow-scripts allow-downloads\"") && page.len() < 200_000);
         surface.nodes_mm.resize(100_001, DVec3::ZERO);
         let page = html(&surface);

@@ -2,7 +2,7 @@
 //!
 //! A [`Source`] gives frames: a recording at its own pace, or a [`Queue`] that threads fill from a pipe or a network. [`run`]
 //! takes them one by one to a [`Live`](crate::reconstruction::Live) vessel and hands every change to the [`Sink`]s: the
-//! page, files, a log. No sink may wait for anyone.
+//! page, 3D Slicer, files, a log. No sink may wait for anyone.
 
 mod arrivals;
 mod files;
@@ -10,6 +10,7 @@ mod log;
 mod page;
 mod queue;
 mod run;
+mod slicer;
 mod source;
 mod times;
 mod update;
@@ -20,6 +21,7 @@ pub(crate) use log::FrameLog;
 pub(crate) use page::PageServer;
 pub(crate) use queue::{Faults, Queue, WhenFull};
 pub(crate) use run::{Ended, Outcome, run};
-pub(crate) use source::{Recorded, Source, connect, listen, read_lines};
+pub(crate) use slicer::Slicer;
+pub(crate) use source::{Recorded, Source, connect, listen, read_lines, take_messages};
 pub(crate) use times::{Percentiles, Stages, TimesReport, peak_memory_bytes};
-pub(crate) use update::Sink;
+pub(crate) use update::{End, Sink};

@@ -4,7 +4,7 @@
 //! the vessel and puts each event into the queues of the pages; each page's own thread sends them. A page that reads too slowly
 //! loses its queue and gets the whole vessel, so nothing ever waits for a page.
 
-use super::update::{Sink, Update};
+use super::update::{End, Sink, Update};
 use crate::reconstruction::Live;
 use crate::report::{contour_of, floats, frame_of, live_page, vessel_of_mesh};
 use crate::surface::Surface;
@@ -292,13 +292,13 @@ impl Sink for PageServer {
         self.shared.changed.notify_all();
     }
 
-    fn end(&mut self, mesh: Option<&Surface>, words: &str) {
+    fn end(&mut self, end: &End) {
         let mut state = self.shared.state();
-        if let Some(mesh) = mesh {
+        if let Some(mesh) = end.mesh.filter(|_| end.is_finished) {
             state.mesh = Some(vessel_of_mesh(&state.vessel.title, mesh));
             state.begin_anew();
         }
-        let end = text(&json!({ "type": "end", "text": words }));
+        let end = text(&json!({ "type": "end", "text": end.text }));
         state.send(&end);
         state.end = Some(end);
         drop(state);

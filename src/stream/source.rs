@@ -1,11 +1,11 @@
 //! Where frames come from.
 
 use super::queue::{Faults, Next, Queue};
+use crate::openigtlink;
 use crate::recording::{FRAME_INTERVAL_S, FrameLines, Recording};
 use crate::{Error, Result};
 use std::io::{BufRead, BufReader};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -95,6 +95,11 @@ impl Source {
     }
 }
 
+/// The error of a connection.
+fn broken(address: impl ToString) -> impl FnOnce(std::io::Error) -> Error {
+    move |source| Error::Connection { address: address.to_string(), source }
+}
+
 /// Puts the frames of a text into a queue, line by line. Returns whether to go on: not where nobody takes them.
 fn pass_lines(reader: impl BufRead, from: &str, queue: &Queue) -> std::io::Result<bool> {
     for line in FrameLines::new(reader) {
@@ -124,11 +129,11 @@ pub(crate) fn read_lines(reader: impl BufRead + Send + 'static, from: &'static s
 /// # Errors
 /// Where there is none.
 pub(crate) fn connect(address: &str, queue: &Queue) -> Result<()> {
-    let stream = TcpStream::connect(address).map_err(|source| Error::read(address, source))?;
+    let stream = TcpStream::connect(address).map_err(broken(address))?;
     let (queue, address) = (queue.clone(), address.to_owned());
     std::thread::spawn(move || {
         let failed = pass_lines(BufReader::new(stream), &address, &queue).err();
-        queue.end(failed.map(|source| Error::read(&address, source)));
+        queue.end(failed.map(broken(&address)));
     });
     Ok(())
 }
@@ -139,9 +144,8 @@ pub(crate) fn connect(address: &str, queue: &Queue) -> Result<()> {
 /// # Errors
 /// Where the port is taken.
 pub(crate) fn listen(address: SocketAddr, once: bool, queue: &Queue) -> Result<SocketAddr> {
-    let failed = |source| Error::read(Path::new(&address.to_string()), source);
-    let listener = TcpListener::bind(address).map_err(failed)?;
-    let bound = listener.local_addr().map_err(failed)?;
+    let listener = TcpListener::bind(address).map_err(broken(address))?;
+    let bound = listener.local_addr().map_err(broken(address))?;
     let (queue, senders) = (queue.clone(), Arc::new(AtomicUsize::new(0)));
     std::thread::spawn(move || {
         for stream in listener.incoming() {
@@ -149,7 +153,7 @@ pub(crate) fn listen(address: SocketAddr, once: bool, queue: &Queue) -> Result<S
             let from = stream.peer_addr().map_or_else(|_| "a sender".into(), |peer| peer.to_string());
             if once {
                 let failed = pass_lines(BufReader::new(stream), &from, &queue).err();
-                queue.end(failed.map(|source| Error::read(&from, source)));
+                queue.end(failed.map(broken(&from)));
                 return;
             }
             if senders.fetch_add(1, Ordering::Relaxed) >= MAX_SENDERS {
@@ -167,4 +171,22 @@ pub(crate) fn listen(address: SocketAddr, once: bool, queue: &Queue) -> Result<S
         }
     });
     Ok(bound)
+}
+
+/// Takes the frames of OpenIGTLink's connections on a thread of its own; the queue ends with the last of them.
+pub(crate) fn take_messages(messages: openigtlink::Source, queue: &Queue) {
+    let queue = queue.clone();
+    std::thread::spawn(move || {
+        for frame in messages {
+            match frame {
+                Ok(frame) => {
+                    if !queue.push(frame) {
+                        return;
+                    }
+                }
+                Err(error) => queue.fault(error.to_string()),
+            }
+        }
+        queue.end(None);
+    });
 }

@@ -17,6 +17,16 @@ pub(crate) struct Update<'a> {
     pub number: usize,
 }
 
+/// How it ended.
+pub(crate) struct End<'a> {
+    /// The final mesh, where there is one.
+    pub mesh: Option<&'a Surface>,
+    /// Whether that is of all frames at once, rather than the vessel that grew.
+    pub is_finished: bool,
+    /// For people.
+    pub text: &'a str,
+}
+
 /// Somebody who follows the vessel. None of its functions waits for anyone: what is slow has its own thread.
 pub(crate) trait Sink {
     /// Takes an update.
@@ -36,6 +46,6 @@ pub(crate) trait Sink {
         Ok(())
     }
 
-    /// The end: the final mesh, where it is not the vessel that grew, and a last remark.
-    fn end(&mut self, _mesh: Option<&Surface>, _text: &str) {}
+    /// Takes the end.
+    fn end(&mut self, _end: &End) {}
 }

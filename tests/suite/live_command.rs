@@ -56,7 +56,9 @@ impl Running {
     }
 
     fn signal(&self, signal: &str) {
-        assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
+        assert!(
+            Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success()
+        );
     }
 
     /// Exit status (`None` after a kill), stdout and the rest of stderr.
@@ -103,26 +105,50 @@ fn a_replay_is_a_live_run_at_full_speed() {
     assert!(bytes(folder, "a.vtp") == bytes(folder, "b.vtp"));
     let (replayed, lived) = (json(&replayed), json(&out));
     for name in [
-        "recording", "mesh", "settings", "frames", "left_out", "restarts", "suspicions", "off_axis", "first_frame",
-        "push_ms", "stages_ms", "most_work", "rings", "nodes", "triangles",
+        "recording",
+        "mesh",
+        "settings",
+        "frames",
+        "left_out",
+        "restarts",
+        "suspicions",
+        "off_axis",
+        "first_frame",
+        "push_ms",
+        "stages_ms",
+        "most_work",
+        "rings",
+        "nodes",
+        "triangles",
     ] {
         assert!(replayed.get(name).is_some(), "{name}");
         if !["mesh", "push_ms", "stages_ms"].contains(&name) {
             assert_eq!(replayed[name], lived[name]);
         }
     }
-    assert_eq!((&lived["frames"], lived["rings"].as_array().unwrap().len()), (&recording.frames.len().into(), 10));
+    assert_eq!(
+        (&lived["frames"], lived["rings"].as_array().unwrap().len()),
+        (&recording.frames.len().into(), 10)
+    );
     for name in ["waiting", "screening", "axis", "placing", "solving", "showing"] {
         let times = &lived["stages_ms"][name];
         let of = |rank: &str| times[rank].as_f64().unwrap();
-        assert!(0.0 <= of("p50") && of("p50") <= of("p95") && of("p95") <= of("p99") && of("p99") <= of("max"));
+        assert!(
+            0.0 <= of("p50") && of("p50") <= of("p95") && of("p95") <= of("p99") && of("p99") <= of("max")
+        );
     }
     let missed = |rate: &str| lived["missed_deadlines"][rate].as_u64().unwrap();
     assert!(missed("12_hz") <= missed("30_hz") && missed("30_hz") <= missed("60_hz"));
     let lower = lived["latency_ms"]["max"].as_f64().unwrap() >= lived["push_ms"]["max"].as_f64().unwrap();
     assert!(lower, "{lived}");
     let shown = lumenmesh(&["replay", "rec.mat", "-o", "a.vtp"], folder).1;
-    for start in ["frames     250, ", "vessel     from frame ", "a frame    ", "deadlines  missed by ", "mesh       a.vtp"] {
+    for start in [
+        "frames     250, ",
+        "vessel     from frame ",
+        "a frame    ",
+        "deadlines  missed by ",
+        "mesh       a.vtp",
+    ] {
         assert!(shown.lines().any(|line| line.starts_with(start)), "{start}: {shown}");
     }
 }
@@ -223,7 +249,8 @@ fn what_is_irregular_is_counted_and_taken_as_it_comes() {
 fn a_network_that_is_too_fast_loses_its_oldest_frames() {
     let (folder, _) = folder();
     let folder = folder.path();
-    let arguments = ["--listen", "0", "--once", "--queue", "1", "-o", "net.vtp", "--json", "--log", "log.ndjson"];
+    let arguments =
+        ["--listen", "0", "--once", "--queue", "1", "-o", "net.vtp", "--json", "--log", "log.ndjson"];
     let mut running = Running::start(&arguments, folder, Stdio::null());
     TcpStream::connect(running.address()).unwrap().write_all(&bytes(folder, "rec.ndjson").repeat(3)).unwrap();
     let (status, out, _) = running.end();
@@ -248,13 +275,20 @@ fn the_log_has_a_line_for_each_frame() {
     let csv = String::from_utf8(bytes(folder, "log.csv")).unwrap();
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(lines.len(), 251);
-    assert!(lines[0].starts_with("frame,time_s,waiting_ms,") && lines[0].ends_with(",left_out"), "{}", lines[0]);
+    assert!(
+        lines[0].starts_with("frame,time_s,waiting_ms,") && lines[0].ends_with(",left_out"),
+        "{}",
+        lines[0]
+    );
     let columns = lines[0].split(',').count();
     assert!(lines.iter().all(|line| line.split(',').count() == columns), "{csv}");
     assert!(lines[31].starts_with("30,2.5,") && lines[31].ends_with(",\"30: pose: none\""), "{}", lines[31]);
     let all = String::from_utf8(bytes(folder, "log.ndjson")).unwrap();
     let all: Vec<Value> = all.lines().map(json).collect();
-    assert_eq!((all.len(), &all[249]["frame"], &all[30]["left_out"]), (250, &249.into(), &"30: pose: none".into()));
+    assert_eq!(
+        (all.len(), &all[249]["frame"], &all[30]["left_out"]),
+        (250, &249.into(), &"30: pose: none".into())
+    );
     assert!(all[249]["rings"].as_u64().unwrap() > 10 && all[249]["latency_ms"].as_f64().unwrap() > 0.0);
 }
 
@@ -263,8 +297,18 @@ fn the_log_has_a_line_for_each_frame() {
 fn an_interrupted_run_ends_in_order() {
     let (folder, _) = folder();
     let folder = folder.path();
-    let arguments =
-        ["--listen", "0", "--no-drop", "-o", "vessel.vtp", "--snapshot", "state", "--log", "log.csv", "--json"];
+    let arguments = [
+        "--listen",
+        "0",
+        "--no-drop",
+        "-o",
+        "vessel.vtp",
+        "--snapshot",
+        "state",
+        "--log",
+        "log.csv",
+        "--json",
+    ];
     for (signal, expected) in [("-INT", 130), ("-TERM", 143)] {
         let mut running = Running::start(&arguments, folder, Stdio::null());
         let address = running.address();
@@ -284,7 +328,9 @@ fn an_interrupted_run_ends_in_order() {
         lumenmesh(&["replay", "rec.mat", "-o", "whole.vtp"], folder);
         assert!(bytes(folder, "vessel.vtp") == bytes(folder, "whole.vtp"));
         assert!(names(folder).iter().all(|name| !name.starts_with('.')), "{:?}", names(folder));
-        ["vessel.vtp", "state", "log.csv"].iter().for_each(|name| std::fs::remove_file(folder.join(name)).unwrap());
+        ["vessel.vtp", "state", "log.csv"]
+            .iter()
+            .for_each(|name| std::fs::remove_file(folder.join(name)).unwrap());
     }
 }
 
@@ -294,7 +340,8 @@ fn a_killed_run_leaves_a_whole_mesh_and_a_snapshot_to_go_on_from() {
     let (folder, recording) = folder();
     let folder = folder.path();
     lumenmesh(&["replay", "rec.mat", "-o", "whole.vtp"], folder);
-    let start = ["rec.mat", "--speed", "4", "-o", "vessel.vtp", "--save-every", "100ms", "--snapshot", "state"];
+    let start =
+        ["rec.mat", "--speed", "4", "-o", "vessel.vtp", "--save-every", "100ms", "--snapshot", "state"];
     let running = Running::start(&start, folder, Stdio::null());
     let exists = |name: &str| folder.join(name).exists();
     until("a mesh and a snapshot", || exists("vessel.vtp") && exists("state"));
@@ -304,7 +351,8 @@ fn a_killed_run_leaves_a_whole_mesh_and_a_snapshot_to_go_on_from() {
     let mesh = Surface::read(&folder.join("vessel.vtp")).unwrap();
     mesh.check().unwrap();
     assert!(!mesh.triangles.is_empty() && bytes(folder, "vessel.vtp") != bytes(folder, "whole.vtp"));
-    let resume = ["rec.mat", "--speed", "max", "-o", "vessel.vtp", "--snapshot", "state", "--resume", "--json"];
+    let resume =
+        ["rec.mat", "--speed", "max", "-o", "vessel.vtp", "--snapshot", "state", "--resume", "--json"];
     let (status, out, said) = live(&resume, folder, b"");
     assert_eq!((status, said.as_str()), (0, ""));
     let count = |name: &str| json(&out)[name].as_u64().unwrap();
@@ -342,12 +390,20 @@ fn what_cannot_work_is_refused_before_anything_is_written() {
         (&["rec.ndjson", "--log", "rec.ndjson"], 1, "found an input of the same command"),
         (&["rec.mat", "--snapshot", "state", "--resume"], 1, "state: content: found another kind of file"),
         (&["rec.mat", &view], 1, "port"),
-        (&["--listen", &port], 1, "cannot read: "),
-        (&["--connect", "127.0.0.1:1"], 1, "127.0.0.1:1: cannot read: "),
+        (&["--listen", &port], 1, &format!("127.0.0.1:{port}: ")),
+        (&["--connect", "127.0.0.1:1"], 1, "127.0.0.1:1: "),
+        (&["--igtl-connect", "127.0.0.1:1"], 1, "127.0.0.1:1: "),
+        (&["rec.mat", "--igtl-listen", "0"], 2, "cannot be used with"),
+        (&["rec.mat", "--once"], 1, "setting --once: found no port"),
+        (&["rec.mat", "--pose-device", "A"], 1, "setting --pose-device: found no OpenIGTLink"),
         (&["rec.mat", "-o", "a.vtp", "--correct-poses"], 1, "setting sweep.correct_poses"),
         (&["none.mat", "-o", "a.vtp"], 1, "none.mat: cannot read"),
         (&["lost.ndjson", "--speed", "max", "-o", "a.vtp"], 1, "frames: found 250 that show no vessel"),
-        (&["lost.ndjson", "--speed", "max", "-o", "a.vtp", "--strict"], 1, "lost.ndjson: frame 0: pose: found none"),
+        (
+            &["lost.ndjson", "--speed", "max", "-o", "a.vtp", "--strict"],
+            1,
+            "lost.ndjson: frame 0: pose: found none",
+        ),
     ] {
         let (status, _, said) = live(arguments, folder, b"");
         assert_eq!(status, expected_status, "{arguments:?}: {said}");
@@ -384,7 +440,10 @@ impl Events {
         while !head.ends_with("\r\n\r\n") {
             assert!(reader.read_line(&mut head).unwrap() > 0);
         }
-        assert!(head.starts_with("HTTP/1.1 200 OK\r\n") && head.contains("Content-Type: text/event-stream\r\n"), "{head}");
+        assert!(
+            head.starts_with("HTTP/1.1 200 OK\r\n") && head.contains("Content-Type: text/event-stream\r\n"),
+            "{head}"
+        );
         Self(reader)
     }
 
@@ -421,12 +480,17 @@ impl Shown {
     fn take(&mut self, event: &Value) {
         let number = |name: &str| event[name].as_u64().unwrap() as usize;
         let rings = |part: &Value, nodes: usize| -> Vec<(Vec<f32>, Vec<f32>)> {
-            let (positions, support) = (floats(&part["positions_mm"]), part["arrays"].get("support").map(floats));
+            let (positions, support) =
+                (floats(&part["positions_mm"]), part["arrays"].get("support").map(floats));
             let support = support.unwrap_or_default();
             assert_eq!(positions.len(), 3 * support.len());
             match nodes {
                 0 => Vec::new(),
-                _ => positions.chunks(3 * nodes).zip(support.chunks(nodes)).map(|(p, s)| (p.to_vec(), s.to_vec())).collect(),
+                _ => positions
+                    .chunks(3 * nodes)
+                    .zip(support.chunks(nodes))
+                    .map(|(p, s)| (p.to_vec(), s.to_vec()))
+                    .collect(),
             }
         };
         match event["type"].as_str().unwrap() {
@@ -441,7 +505,8 @@ impl Shown {
                 self.rings.splice(0..0, (0..number("before")).map(|_| nothing()));
                 self.rings.resize_with(number("rings"), nothing);
                 for part in event["changed"].as_array().unwrap() {
-                    let range = part["from"].as_u64().unwrap() as usize..part["to"].as_u64().unwrap() as usize;
+                    let range =
+                        part["from"].as_u64().unwrap() as usize..part["to"].as_u64().unwrap() as usize;
                     let new = rings(part, self.nodes);
                     assert_eq!(new.len(), range.len());
                     self.rings.splice(range, new);
@@ -494,7 +559,10 @@ fn several_pages_see_the_vessel_grow_and_only_what_changed_is_sent() {
     assert!(again.rings == one.rings && again.frames == 250);
     // A change is smaller than the vessel in the end.
     let whole = Events::of(address).next().unwrap().to_string().len();
-    let median = { sizes.sort_unstable(); sizes[sizes.len() / 2] };
+    let median = {
+        sizes.sort_unstable();
+        sizes[sizes.len() / 2]
+    };
     assert!(median < whole / 2, "{median} of {whole}");
     drop(silent);
     running.signal("-INT");
@@ -517,7 +585,8 @@ fn a_page_that_does_not_read_blocks_nobody() {
     let (status, out, _) = running.end();
     assert_eq!((status, &json(&out)["frames"]), (Some(0), &1000.into()));
     drop(silent);
-    let (status, alone, _) = live(&["long.ndjson", "--speed", "max", "--json", "-o", "alone.vtp"], folder, b"");
+    let (status, alone, _) =
+        live(&["long.ndjson", "--speed", "max", "--json", "-o", "alone.vtp"], folder, b"");
     assert_eq!((status, &json(&alone)["frames"]), (0, &1000.into()));
     assert!(bytes(folder, "vessel.vtp") == bytes(folder, "alone.vtp"), "what is shown changes nothing");
 }
@@ -530,7 +599,10 @@ fn the_server_answers_its_own_pages_only() {
     let port = address.port();
     let (status, head, body) = request(address, &format!("GET / HTTP/1.1\nHost: localhost:{port}\n\n"));
     assert_eq!(status, 200);
-    assert!(head.contains("content-type: text/html; charset=utf-8") && head.contains("cache-control: no-store"), "{head}");
+    assert!(
+        head.contains("content-type: text/html; charset=utf-8") && head.contains("cache-control: no-store"),
+        "{head}"
+    );
     assert!(body.starts_with("<!DOCTYPE html>") && body.contains("new EventSource(\"events\")"));
     assert!(!body.contains("/*vessel*/"));
     for (line, host, expected) in [
@@ -546,8 +618,10 @@ fn the_server_answers_its_own_pages_only() {
         assert_eq!(status, expected, "{line} {host}");
         assert!(!head.contains("access-control"), "{head}");
     }
-    let (status, head, _) =
-        request(address, &format!("POST / HTTP/1.1\nHost: 127.0.0.1:{port}\nContent-Length: 50000\n\n{}", "x".repeat(50_000)));
+    let (status, head, _) = request(
+        address,
+        &format!("POST / HTTP/1.1\nHost: 127.0.0.1:{port}\nContent-Length: 50000\n\n{}", "x".repeat(50_000)),
+    );
     assert!(status == 405 && head.contains("allow: get"), "{head}");
     // A request without end, and one that is too long, are let go of.
     let mut endless = TcpStream::connect(address).unwrap();

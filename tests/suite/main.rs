@@ -31,6 +31,7 @@ mod mesh_files;
 mod method;
 #[cfg(feature = "cli")]
 mod ndjson;
+mod openigtlink;
 #[cfg(all(feature = "cli", unix))]
 mod outputs;
 #[cfg(feature = "cli")]
