@@ -3,6 +3,7 @@
 use crate::support::{lumenmesh, names};
 use base64::Engine;
 use lumenmesh::geometry::Pose;
+use lumenmesh::openigtlink::{Content, Message, MessageReader, Step, Timestamp};
 use lumenmesh::recording::Recording;
 use lumenmesh::simulate::{Insertion, SimulationSettings};
 use lumenmesh::surface::Surface;
@@ -250,7 +251,7 @@ fn a_network_that_is_too_fast_loses_its_oldest_frames() {
     let (folder, _) = folder();
     let folder = folder.path();
     let arguments =
-        ["--listen", "0", "--once", "--queue", "1", "-o", "net.vtp", "--json", "--log", "log.ndjson"];
+        ["--listen", "0", "--once", "--queue", "1", "--json", "--log", "log.ndjson"];
     let mut running = Running::start(&arguments, folder, Stdio::null());
     TcpStream::connect(running.address()).unwrap().write_all(&bytes(folder, "rec.ndjson").repeat(3)).unwrap();
     let (status, out, _) = running.end();
@@ -410,6 +411,61 @@ fn what_cannot_work_is_refused_before_anything_is_written() {
         assert!(said.contains(expected), "{arguments:?}: {said}");
         assert_eq!(names(folder), before, "{arguments:?}");
     }
+}
+
+/// Frames as texts have all their digits. Who sends gets the vessel on the same connection, and so does who only looks.
+#[test]
+fn frames_by_openigtlink_give_the_bytes_of_the_batch_and_the_vessel_goes_back() {
+    let (folder, recording) = folder();
+    let folder = folder.path();
+    let arguments = [
+        "--igtl-listen",
+        "0",
+        "--once",
+        "--no-drop",
+        "--finish",
+        "--igtl-serve",
+        "0",
+        "-o",
+        "net.vtp",
+        "--json",
+    ];
+    let mut running = Running::start(&arguments, folder, Stdio::null());
+    let looker = TcpStream::connect(running.address()).unwrap();
+    let mut stream = TcpStream::connect(running.address()).unwrap();
+    for frame in &recording.frames {
+        let text = Content::Text(frame.to_json());
+        stream.write_all(&Message::new("Frames", Timestamp::now(), text).encode().unwrap()).unwrap();
+    }
+    stream.shutdown(std::net::Shutdown::Write).unwrap();
+    // The last vessel of each.
+    let last_vessel = |stream: TcpStream| {
+        std::thread::spawn(move || {
+            let (mut reader, mut nodes, mut tips) = (MessageReader::new(stream), 0, 0);
+            loop {
+                match reader.step() {
+                    Step::Message(message) => match message.content {
+                        Content::PolyData(mesh) => nodes = mesh.points_mm.len(),
+                        Content::Transform(_) => tips += 1,
+                        _ => {}
+                    },
+                    Step::Closed(_) => return (nodes, tips),
+                    Step::Unknown | Step::Silent => {}
+                    other => panic!("{other:?}"),
+                }
+            }
+        })
+    };
+    let (looked, sent) = (last_vessel(looker), last_vessel(stream));
+    let (status, out, said) = running.end();
+    assert_eq!((status, said.as_str()), (Some(0), ""));
+    let nodes = json(&out)["nodes"].as_u64().unwrap() as usize;
+    let (looked, sent) = (looked.join().unwrap(), sent.join().unwrap());
+    assert_eq!(looked.0, nodes, "the final mesh");
+    assert!(sent.0 == nodes || sent.0 == 0, "{} of {nodes}", sent.0);
+    assert!(looked.1 > 0);
+    assert_eq!(lumenmesh(&["reconstruct", "rec.mat", "-o", "batch.vtp"], folder).0, 0);
+    assert!(bytes(folder, "net.vtp") == bytes(folder, "batch.vtp"));
 }
 
 // ---- the page

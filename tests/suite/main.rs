@@ -27,6 +27,8 @@ mod live;
 mod live_command;
 #[cfg(feature = "cli")]
 mod matlab;
+#[cfg(all(feature = "cli", feature = "mcap"))]
+mod mcap;
 mod mesh_files;
 mod method;
 #[cfg(feature = "cli")]
