@@ -23,6 +23,7 @@ use lumenmesh::settings::{Method, Settings};
 use percentiles::percentiles;
 use std::io::Write;
 use std::net::TcpStream;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -67,13 +68,13 @@ fn measure(frames: &[Frame], ahead: usize, rate_hz: f64, method: Method) {
     let asked = Message::new("bench", Timestamp::now(), Content::GetStatus).with_version(2);
     (&viewer).write_all(&asked.encode().unwrap()).unwrap();
     let begun = Arc::new(Mutex::new(Vec::new()));
+    let answered = Arc::new(AtomicUsize::new(0));
     let receiving = thread::spawn({
-        let begun = Arc::clone(&begun);
+        let (begun, answered) = (Arc::clone(&begun), Arc::clone(&answered));
         move || {
             let mut reader = MessageReader::new(std::io::BufReader::with_capacity(1 << 16, viewer));
             let (mut tips, mut vessels, mut bytes, mut last) = (Vec::new(), Vec::new(), 0, None);
-            loop {
-                let Step::Message(message) = reader.step() else { break };
+            while let Step::Message(message) = reader.step() {
                 let now = Instant::now();
                 let waited_ms = |k: Option<usize>| {
                     let sent: Instant = *begun.lock().unwrap().get(k?)?;
@@ -83,6 +84,7 @@ fn measure(frames: &[Frame], ahead: usize, rate_hz: f64, method: Method) {
                     Content::Transform(_) => {
                         let time_s: f64 = message.metadata("FrameTime").unwrap().parse().unwrap();
                         last = Some((time_s * 16.0).round() as usize);
+                        answered.fetch_max(last.unwrap_or(0), Ordering::Relaxed);
                         tips.extend(waited_ms(last));
                     }
                     // It comes after the tip of the same frame.
@@ -106,7 +108,9 @@ fn measure(frames: &[Frame], ahead: usize, rate_hz: f64, method: Method) {
         if k >= ahead {
             if k == ahead {
                 // What came at once is done first.
-                thread::sleep(Duration::from_secs(2));
+                while answered.load(Ordering::Relaxed) + 1 < ahead {
+                    thread::sleep(Duration::from_millis(20));
+                }
                 due = Instant::now();
             }
             due += Duration::from_secs_f64(1.0 / rate_hz);
@@ -122,7 +126,8 @@ fn measure(frames: &[Frame], ahead: usize, rate_hz: f64, method: Method) {
     assert!(!tips.is_empty() && !vessels.is_empty() && shown > 0, "answers came");
     println!("{rate_hz} Hz, {method:?}, {nodes} nodes, {} frames", frames.len() - ahead);
     println!("   tip     {}", percentiles(tips));
-    println!("   vessel  {} ({} of them)", percentiles(vessels.clone()), vessels.len());
+    let count = vessels.len();
+    println!("   vessel  {} ({count} of them)", percentiles(vessels));
 }
 
 fn main() {
@@ -135,7 +140,7 @@ fn main() {
     let recording = Recording::read(&path).unwrap();
     for method in [Method::Sweep, Method::Cylinders] {
         for (rate_hz, seconds) in [(12.0, 30.0), (30.0, 20.0), (60.0, 15.0)] {
-            let (ahead, count) = if test { (40, 60) } else { (400, (rate_hz * seconds) as usize) };
+            let (ahead, count) = if test { (200, 40) } else { (400, (rate_hz * seconds) as usize) };
             let end = (ahead + count).min(recording.frames.len());
             measure(&recording.frames[..end], ahead, if test { 500.0 } else { rate_hz }, method);
         }

@@ -10,7 +10,7 @@ const TABLES: [[u64; 256]; 8] = {
         let mut crc = (byte as u64) << 56;
         let mut bit = 0;
         while bit < 8 {
-            crc = if crc >> 63 == 1 { crc << 1 ^ POLYNOMIAL } else { crc << 1 };
+            crc = if crc >> 63 == 1 { (crc << 1) ^ POLYNOMIAL } else { crc << 1 };
             bit += 1;
         }
         tables[0][byte] = crc;
@@ -21,7 +21,7 @@ const TABLES: [[u64; 256]; 8] = {
         let mut byte = 0;
         while byte < 256 {
             let before: u64 = tables[row - 1][byte];
-            tables[row][byte] = tables[0][(before >> 56) as usize] ^ before << 8;
+            tables[row][byte] = tables[0][(before >> 56) as usize] ^ (before << 8);
             byte += 1;
         }
         row += 1;
@@ -36,7 +36,7 @@ pub(super) fn of(bytes: &[u8]) -> u64 {
         let mixed = (crc ^ u64::from_be_bytes(*eight)).to_be_bytes();
         mixed.iter().zip(TABLES.iter().rev()).fold(0, |crc, (&byte, table)| crc ^ table[usize::from(byte)])
     });
-    rest.iter().fold(crc, |crc, &byte| TABLES[0][(crc >> 56) as usize ^ usize::from(byte)] ^ crc << 8)
+    rest.iter().fold(crc, |crc, &byte| TABLES[0][(crc >> 56) as usize ^ usize::from(byte)] ^ (crc << 8))
 }
 
 #[cfg(test)]
@@ -44,8 +44,8 @@ mod tests {
     /// Bit by bit, as the standard has it.
     fn slowly(bytes: &[u8]) -> u64 {
         bytes.iter().fold(0, |crc, &byte| {
-            (0..8).fold(crc ^ u64::from(byte) << 56, |crc, _| {
-                if crc >> 63 == 1 { crc << 1 ^ super::POLYNOMIAL } else { crc << 1 }
+            (0..8).fold(crc ^ (u64::from(byte) << 56), |crc, _| {
+                if crc >> 63 == 1 { (crc << 1) ^ super::POLYNOMIAL } else { crc << 1 }
             })
         })
     }

@@ -208,13 +208,16 @@ impl Message {
     }
 }
 
+/// Keys and values.
+type Metadata = Vec<(String, String)>;
+
 /// The metadata key of a device's whole name.
 const DEVICE_NAME: &str = "IGTL_DEVICE_NAME";
 /// Bytes of the extended header.
 const EXTENDED_BYTES: u16 = 12;
 
 /// The content of a body with an extended header, and its metadata.
-fn extended(body: &[u8]) -> Result<(&[u8], Vec<(String, String)>)> {
+fn extended(body: &[u8]) -> Result<(&[u8], Metadata)> {
     let mut reader = Reader::new(body);
     let header = usize::from(reader.u16()?);
     let sizes = usize::from(reader.u16()?);
@@ -293,7 +296,7 @@ mod tests {
     fn every_message_comes_back() {
         for content in contents() {
             assert!(Content::is_known(content.kind()));
-            let message = Message::new("ProbeToTracker", Timestamp(1_700_000_000 << 32 | 5), content);
+            let message = Message::new("ProbeToTracker", Timestamp((1_700_000_000 << 32) | 5), content);
             assert_eq!(decoded(&message.encode().unwrap()).unwrap(), message);
             for message in [
                 message.clone().with_version(2),

@@ -10,11 +10,10 @@
 pub(super) fn strips(triangles: &[[u32; 3]], nodes: usize) -> Vec<Vec<u32>> {
     let mut left = Left::of(triangles, nodes);
     let mut strips = Vec::new();
-    for first in 0..triangles.len() {
+    for (first, &[a, b, c]) in triangles.iter().enumerate() {
         if !left.is_left[first] {
             continue;
         }
-        let [a, b, c] = triangles[first];
         let begun = [[a, b, c], [b, c, a], [c, a, b]].map(|start| {
             let (strip, taken) = left.take_strip(first, start);
             left.give_back(&taken);

@@ -19,7 +19,7 @@ impl Timestamp {
     /// Now, by the clock of this machine.
     pub fn now() -> Self {
         let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        Self(since.as_secs() << 32 | (u64::from(since.subsec_nanos()) << 32) / 1_000_000_000)
+        Self((since.as_secs() << 32) | ((u64::from(since.subsec_nanos()) << 32) / 1_000_000_000))
     }
 
     /// From seconds since 1970; unknown where they are not above 0.
@@ -45,7 +45,7 @@ impl Timestamp {
     /// This time and so many seconds; at the ends of what can be said it stays there.
     #[must_use]
     pub fn plus_s(self, seconds: f64) -> Self {
-        let shifted = i128::from(self.0) + (seconds * SECOND).round() as i64 as i128;
+        let shifted = i128::from(self.0) + i128::from((seconds * SECOND).round() as i64);
         Self(shifted.clamp(1, i128::from(u64::MAX)) as u64)
     }
 }
@@ -57,8 +57,8 @@ mod tests {
     #[test]
     fn differences_lose_nothing() {
         let origin = Timestamp::from_s(1_700_000_000.25);
-        assert_eq!(origin.0, 1_700_000_000 << 32 | 1 << 30);
-        for fraction in [0, 1, 3, u64::from(u32::MAX), 86_400 << 32 | 12_345] {
+        assert_eq!(origin.0, (1_700_000_000 << 32) | (1 << 30));
+        for fraction in [0, 1, 3, u64::from(u32::MAX), (86_400 << 32) | 12_345] {
             let later = Timestamp(origin.0 + fraction);
             assert_eq!(later.seconds_since(origin), fraction as f64 / SECOND);
             assert_eq!(origin.seconds_since(later), -(fraction as f64) / SECOND);

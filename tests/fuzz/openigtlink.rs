@@ -153,11 +153,11 @@ fn openigtlink_bodies() {
                 if let Ok(frames) = assembler.borrow_mut().push(&message) {
                     check(&frames);
                 }
-                // What was understood can be sent, and is understood as the same.
-                if let Ok(again) = message.encode() {
-                    let (header, body) = again.split_first_chunk().unwrap();
+                // What was understood can be sent, but for texts that grew where they were no UTF-8, and is the same then.
+                if let Ok(sent) = message.encode() {
+                    let (header, body) = sent.split_first_chunk().unwrap();
                     let back = Header::decode(header).unwrap().decode_body(body).unwrap();
-                    assert_eq!(format!("{back:?}"), format!("{message:?}"));
+                    assert!(back.encode().unwrap() == sent, "{message:?}\n{back:?}");
                 }
                 true
             }
@@ -218,8 +218,8 @@ fn large_openigtlink_bodies_take_no_more_memory_than_is_stated() {
 /// The checksum, bit by bit.
 fn crc64(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0, |crc, &byte| {
-        (0..8).fold(crc ^ u64::from(byte) << 56, |crc: u64, _| {
-            if crc >> 63 == 1 { crc << 1 ^ 0x42f0_e1eb_a9ea_3693 } else { crc << 1 }
+        (0..8).fold(crc ^ (u64::from(byte) << 56), |crc: u64, _| {
+            if crc >> 63 == 1 { (crc << 1) ^ 0x42f0_e1eb_a9ea_3693 } else { crc << 1 }
         })
     })
 }
