@@ -73,7 +73,7 @@ enum Command {
     Simulate(simulate::Arguments),
     Experiments(experiments::Arguments),
     Study(study::Arguments),
-    Live(live::Arguments),
+    Live(Box<live::Arguments>),
     Replay(replay::Arguments),
     Render(render::Arguments),
     Report(report::Arguments),
