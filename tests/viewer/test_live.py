@@ -38,7 +38,7 @@ def live(*arguments, **options):
         yield process, re.search(r"http://[^/]*/", process.stderr.readline())[0]
     finally:
         process.kill()
-        process.communicate()
+        process.wait()
 
 
 def test_a_vessel_grows_through_the_command(show, recording):
