@@ -2,7 +2,7 @@
 # Installs what the tests need and runs all of them.
 #
 # On Debian and Ubuntu, as root or with sudo, missing pieces come from apt: the software Vulkan driver where no
-# adapter is found, Octave, Chromium, libOpenIGTLink, and a Python environment with VTK, SimpleITK, pynrrd and pyigtl under target/. Tests
+# adapter is found, Octave, Chromium, libOpenIGTLink, and a Python environment with VTK, SimpleITK, pynrrd, pyigtl and mcap under target/. Tests
 # whose tool or data is still missing say SKIPPED; with LUMENMESH_REQUIRE_GPU=1, LUMENMESH_REQUIRE_DATA=1 or LUMENMESH_REQUIRE_TOOLS=1 they
 # fail instead. LUMENMESH_SHARED names the folder of recordings and truth surfaces (default: ../shared).
 #
@@ -43,12 +43,12 @@ for tool in cmake g++ pkg-config valgrind chromium; do
 done
 if [ -z "${LUMENMESH_PYTHON:-}" ]; then
   venv=target/python
-  if ! "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd, pyigtl' 2>/dev/null; then
+  if ! "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd, pyigtl, mcap' 2>/dev/null; then
     apt_install libgl1 libxrender1 || true
-    { python3 -m venv "$venv" && "$venv/bin/pip" install -q --disable-pip-version-check numpy scipy vtk SimpleITK pynrrd pyigtl; } ||
-      echo "no Python with VTK, SimpleITK, pynrrd and pyigtl: its tests will be skipped"
+    { python3 -m venv "$venv" && "$venv/bin/pip" install -q --disable-pip-version-check numpy scipy vtk SimpleITK pynrrd pyigtl mcap; } ||
+      echo "no Python with VTK, SimpleITK, pynrrd, pyigtl and mcap: its tests will be skipped"
   fi
-  if "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd, pyigtl' 2>/dev/null; then export LUMENMESH_PYTHON="$PWD/$venv/bin/python"; fi
+  if "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd, pyigtl, mcap' 2>/dev/null; then export LUMENMESH_PYTHON="$PWD/$venv/bin/python"; fi
 fi
 
 log=$(mktemp)
@@ -77,7 +77,7 @@ else
 fi
 run cargo test "${chosen[@]}" --bench distance --bench fit --bench live --bench openigtlink -- --test
 # Each feature builds alone, and the library without any.
-for features in "" cli gpu render; do
+for features in "" cli gpu render mcap; do
   run cargo check --quiet --no-default-features --features "$features"
 done
 if [ "${1:-}" = --release ]; then

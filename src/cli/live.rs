@@ -24,13 +24,15 @@ use std::time::{Duration, Instant};
 /// Reconstruct while frames come, and show the vessel as it grows
 ///
 /// Frames come from a recording at its own pace, by OpenIGTLink, or as JSON, one frame per line (docs/live.md):
-/// {"time_s": 1.25, "pose": [16 numbers, row by row, mm] or null, "contour": [[x, y], …] in mm, null where there is no echo}.
+/// {"time_s": 1.25, "pose": [16 numbers, row by row, mm] or null, "contour": [[x, y], …] in mm, null where
+/// there is no echo}.
 ///
-/// Frames are taken in the order in which they come. A line that is no frame is skipped, counted and told. Where frames of a
-/// network come faster than they can be taken, the oldest one that waits is dropped and counted; recordings and pipes wait.
+/// Frames are taken in the order in which they come. A line that is no frame is skipped, counted and told.
+/// Where frames of a network come faster than they can be taken, the oldest one that waits is dropped and
+/// counted; recordings and pipes wait.
 ///
-/// Ctrl-C ends in order: mesh, snapshot and summary are written. Exit status: 0 done, 1 the work failed, 2 the usage is wrong,
-/// 3 done, but lines were skipped, 130 (or 143) ended by Ctrl-C (or by SIGTERM).
+/// Ctrl-C ends in order: mesh, snapshot and summary are written. Exit status: 0 done, 1 the work failed, 2 the
+/// usage is wrong, 3 done, but lines were skipped, 130 (or 143) ended by Ctrl-C (or by SIGTERM).
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh live pullback.mat --view --hold                          # watch it in a browser, at its own pace
@@ -41,11 +43,13 @@ use std::time::{Duration, Instant};
   lumenmesh live --igtl-connect 127.0.0.1:18944 --igtl-serve 18945 --view   # from PLUS, to 3D Slicer and a browser
   lumenmesh import recording pullback.mat -o pullback.ndjson && lumenmesh live - -o vessel.vtp < pullback.ndjson")]
 pub(super) struct Arguments {
-    /// Recording: a .mat file, a folder of CSV files, a sequence or .ndjson file; or - for frames as JSON from a pipe
+    /// Recording: a .mat file, a folder of CSV files, a sequence or .ndjson file; or - for frames as JSON from
+    /// a pipe
     #[arg(value_name = "REC", required_unless_present_any = ["listen", "connect", "igtl_connect", "igtl_listen"])]
     #[arg(conflicts_with_all = ["listen", "connect", "igtl_connect", "igtl_listen"])]
     recording: Option<PathBuf>,
-    /// Wait on this port for programs that send frames as JSON; of this machine only, unless an IP address says otherwise
+    /// Wait on this port for programs that send frames as JSON; of this machine only, unless an IP address says
+    /// otherwise
     #[arg(long, value_name = "[IP:]PORT", value_parser = address)]
     #[arg(conflicts_with_all = ["connect", "igtl_connect", "igtl_listen"])]
     listen: Option<SocketAddr>,
@@ -61,7 +65,8 @@ pub(super) struct Arguments {
     /// Wait on this port for clients of OpenIGTLink that send poses and contours; they get the vessel too
     #[arg(long, value_name = "[IP:]PORT")]
     igtl_listen: Option<String>,
-    /// Of OpenIGTLink: the device whose transforms are the pose, or the tool's name in TDATA [default: ProbeToTracker]
+    /// Of OpenIGTLink: the device whose transforms are the pose, or the tool's name in TDATA [default:
+    /// ProbeToTracker]
     #[arg(long, value_name = "NAME")]
     pose_device: Option<String>,
     /// Of OpenIGTLink: the device of the contours or masks [default: any, but no masks]
@@ -84,7 +89,8 @@ pub(super) struct Arguments {
     /// Write the mesh, and the snapshot, also while frames come, this often, such as 5s or 500ms
     #[arg(long, value_name = "TIME", value_parser = duration)]
     save_every: Option<Duration>,
-    /// Write the state to this file, every 5 s unless --save-every says otherwise, so that another run can go on from there
+    /// Write the state to this file, every 5 s unless --save-every says otherwise, so that another run can go
+    /// on from there
     #[arg(long, value_name = "FILE")]
     snapshot: Option<PathBuf>,
     /// Go on from the snapshot. Frames of a recording that it has seen are passed over
@@ -365,7 +371,8 @@ impl Arguments {
         Ok(sinks)
     }
 
-    /// Where frames come from; `name` becomes what people call it. Who sends by OpenIGTLink to a port gets the vessel there.
+    /// Where frames come from; `name` becomes what people call it. Who sends by OpenIGTLink to a port gets the
+    /// vessel there.
     fn source(
         &self,
         recording: Option<&Arc<Recording>>,

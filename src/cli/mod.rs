@@ -84,7 +84,8 @@ enum Command {
     Manual(manual::Manual),
 }
 
-/// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong; `live` has more.
+/// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong; `live`
+/// has more.
 pub fn main() -> ExitCode {
     quiet_drivers();
     interrupt::watch();

@@ -7,8 +7,8 @@ use std::process::ExitCode;
 
 /// Replay a recording frame by frame into a growing vessel and report the time of each frame
 ///
-/// The same as `lumenmesh live REC --speed max -o MESH`: as a program would do that shows the vessel during the intervention,
-/// every frame updates the mesh.
+/// The same as `lumenmesh live REC --speed max -o MESH`: as a program would do that shows the vessel during the
+/// intervention, every frame updates the mesh.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh replay pullback.mat -o vessel.vtp

@@ -141,9 +141,10 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Reads a recording: a MATLAB `.mat` file (v4 to v7.3), a folder of CSV files, or a [sequence file](Sequence) of PLUS
-    /// or 3D Slicer (`.igs.mha`, `.igs.mhd`, `.seq.mha`, `.igs.nrrd`, `.seq.nrrd`), or one [frame as JSON](Frame::from_json) per
-    /// line (`.ndjson`, `.jsonl`); with the feature `mcap` also an MCAP file with poses of Foxglove or ROS 2 (`.mcap`).
+    /// Reads a recording: a MATLAB `.mat` file (v4 to v7.3), a folder of CSV files, or a [sequence
+    /// file](Sequence) of PLUS or 3D Slicer (`.igs.mha`, `.igs.mhd`, `.seq.mha`, `.igs.nrrd`, `.seq.nrrd`), or
+    /// one [frame as JSON](Frame::from_json) per line (`.ndjson`, `.jsonl`); with the feature `mcap` also an
+    /// MCAP file with poses of Foxglove or ROS 2 (`.mcap`).
     ///
     /// A `.mat` file holds `rotm` (3×3×F, the sensor's rotation in the world), `Ep` (F×3, its position, mm),
     /// `x_data` and `y_data` (F×M, contours, mm, NaN where there is no echo) and optionally `cyl_px`, `cyl_py`,
@@ -240,14 +241,14 @@ impl Recording {
         self.frames.get(k).and_then(|frame| frame.number).unwrap_or(k)
     }
 
-    /// Writes a recording: `.mat` and `.ndjson` by that ending, a [sequence file](Sequence) by `.mha`, `.mhd` or `.nrrd`
-    /// (`.mhd` with a `.raw` beside it), else (no ending, or a folder that is there) a folder of CSV
-    /// files. All read back equal, but that CSV files hold rotations as quaternions (equal to 1e-12), and sequence files
-    /// no cylinder models. `.ndjson` is one [frame as JSON](Frame::to_json) per line.
+    /// Writes a recording: `.mat` and `.ndjson` by that ending, a [sequence file](Sequence) by `.mha`, `.mhd`
+    /// or `.nrrd` (`.mhd` with a `.raw` beside it), else (no ending, or a folder that is there) a folder of CSV
+    /// files. All read back equal, but that CSV files hold rotations as quaternions (equal to 1e-12), and
+    /// sequence files no cylinder models. `.ndjson` is one [frame as JSON](Frame::to_json) per line.
     ///
     /// # Errors
-    /// Where the recording fails [`Recording::check`] (but in `.ndjson`, where a frame may have no pose), the ending is another one, or the file or folder cannot
-    /// be written; no partial file is left behind.
+    /// Where the recording fails [`Recording::check`] (but in `.ndjson`, where a frame may have no pose), the
+    /// ending is another one, or the file or folder cannot be written; no partial file is left behind.
     pub fn write(&self, path: &Path) -> Result<()> {
         if is_ndjson(path) && !path.is_dir() {
             return formats::ndjson::write(self, path);
@@ -287,9 +288,9 @@ pub struct ReadOptions {
     pub pose_columns: Option<Vec<String>>,
     /// The same of the file of the contours.
     pub contour_columns: Option<Vec<String>>,
-    /// Of a sequence file, the transform that is the sensor in the world, such as `ProbeToTracker`; or a name for which a
-    /// chain of its transforms and their inverses stands, such as `ProbeToReference`. Of an MCAP file, the transform of the child
-    /// `Probe` in the parent `Tracker`.
+    /// Of a sequence file, the transform that is the sensor in the world, such as `ProbeToTracker`; or a name
+    /// for which a chain of its transforms and their inverses stands, such as `ProbeToReference`. Of an MCAP
+    /// file, the transform of the child `Probe` in the parent `Tracker`.
     pub transform: Option<String>,
     /// Of an MCAP file, the topic of the poses, where there are several.
     pub topic: Option<String>,

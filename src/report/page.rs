@@ -1,5 +1,5 @@
-//! An HTML page: one file that contains its style, plots and pictures and needs no network. Without scripts, all but the vessel to
-//! turn is there.
+//! An HTML page: one file that contains its style, plots and pictures and needs no network. Without scripts,
+//! all but the vessel to turn is there.
 
 use super::render::{Style, render};
 use super::viewer::embedded_page;
@@ -129,8 +129,8 @@ impl Page {
         Ok(self.figure(&format!("<img alt=\"{alt}\" src=\"data:image/png;base64,{data}\">"), caption))
     }
 
-    /// The same mesh to turn and measure, as a page within this one; on paper the pictures remain. A mesh that would make the
-    /// page too large is left to `lumenmesh view`.
+    /// The same mesh to turn and measure, as a page within this one; on paper the pictures remain. A mesh that
+    /// would make the page too large is left to `lumenmesh view`.
     pub fn viewer(
         &mut self,
         name: &str,

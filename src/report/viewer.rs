@@ -37,7 +37,8 @@ pub fn viewer_page(title: &str, surface: &Surface, recording: Option<(&Recording
     page_with(&vessel.to_string().replace('<', "\\u003c"))
 }
 
-/// The page of a vessel to go into another page: with the catheter's path, but without contours, which are most of a recording.
+/// The page of a vessel to go into another page: with the catheter's path, but without contours, which are most
+/// of a recording.
 pub(super) fn embedded_page(title: &str, surface: &Surface, recording: Option<(&Recording, Pose)>) -> String {
     let mut vessel = vessel_of_mesh(title, surface);
     if let Some((recording, sensor_from_probe)) = recording {

@@ -1,5 +1,5 @@
-//! What is irregular about the frames that come. It is counted; frames are taken in the order in which they come, whatever
-//! their times, as they would stand in a recording.
+//! What is irregular about the frames that come. It is counted; frames are taken in the order in which they
+//! come, whatever their times, as they would stand in a recording.
 
 use crate::recording::Frame;
 use serde::Serialize;

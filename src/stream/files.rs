@@ -9,8 +9,8 @@ use std::path::PathBuf;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Writes files while the run goes on, on a thread of its own, each as a whole or not at all. Where the disk is slower than the
-/// interval, fewer are written.
+/// Writes files while the run goes on, on a thread of its own, each as a whole or not at all. Where the disk is
+/// slower than the interval, fewer are written.
 pub(crate) struct Files {
     every: Duration,
     mesh: Option<(PathBuf, Space)>,

@@ -8,8 +8,8 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// A file that grows by a line per frame: CSV or NDJSON, by its ending. Unlike all other outputs it is there from the
-/// beginning, so that it can be followed, and so that a process that is killed leaves it.
+/// A file that grows by a line per frame: CSV or NDJSON, by its ending. Unlike all other outputs it is there
+/// from the beginning, so that it can be followed, and so that a process that is killed leaves it.
 pub(crate) struct FrameLog {
     path: PathBuf,
     file: File,

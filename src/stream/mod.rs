@@ -1,8 +1,8 @@
 //! Frames as they come, and the vessel to whoever follows it: what `lumenmesh live` is made of.
 //!
-//! A [`Source`] gives frames: a recording at its own pace, or a [`Queue`] that threads fill from a pipe or a network. [`run`]
-//! takes them one by one to a [`Live`](crate::reconstruction::Live) vessel and hands every change to the [`Sink`]s: the
-//! page, 3D Slicer, files, a log. No sink may wait for anyone.
+//! A [`Source`] gives frames: a recording at its own pace, or a [`Queue`] that threads fill from a pipe or a
+//! network. [`run`] takes them one by one to a [`Live`](crate::reconstruction::Live) vessel and hands every
+//! change to the [`Sink`]s: the page, 3D Slicer, files, a log. No sink may wait for anyone.
 
 mod arrivals;
 mod files;

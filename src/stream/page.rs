@@ -1,8 +1,9 @@
 //! The server of the page that shows a vessel while it grows (`docs/viewer.md`).
 //!
-//! Two paths of HTTP/1.1 by hand: a crate would be larger than what is left to do. The thread that reconstructs changes a copy of
-//! the vessel and puts each event into the queues of the pages; each page's own thread sends them. A page that reads too slowly
-//! loses its queue and gets the whole vessel, so nothing ever waits for a page.
+//! Two paths of HTTP/1.1 by hand: a crate would be larger than what is left to do. The thread that reconstructs
+//! changes a copy of the vessel and puts each event into the queues of the pages; each page's own thread sends
+//! them. A page that reads too slowly loses its queue and gets the whole vessel, so nothing ever waits for a
+//! page.
 
 use super::update::{End, Sink, Update};
 use crate::reconstruction::Live;

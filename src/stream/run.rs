@@ -52,8 +52,8 @@ pub(crate) struct Outcome {
 /// A sink that fails is told of on stderr, once, and the run goes on.
 ///
 /// # Errors
-/// Where the source fails, or a frame is unfit and the settings refuse it. Frames of a queue that the settings keep, and that have
-/// defects, are counted as faults instead: a live run does not end because of one frame.
+/// Where the source fails, or a frame is unfit and the settings refuse it. Frames of a queue that the settings
+/// keep, and that have defects, are counted as faults instead: a live run does not end because of one frame.
 pub(crate) fn run(
     live: &mut Live,
     source: &mut Source,

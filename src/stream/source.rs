@@ -138,8 +138,9 @@ pub(crate) fn connect(address: &str, queue: &Queue) -> Result<()> {
     Ok(())
 }
 
-/// Listens for programs that send frames, one per line. The queue ends with the first connection where it is to be the only
-/// one; else senders may come and go, also several at once. Returns the address, with its port where 0 was asked for.
+/// Listens for programs that send frames, one per line. The queue ends with the first connection where it is to
+/// be the only one; else senders may come and go, also several at once. Returns the address, with its port
+/// where 0 was asked for.
 ///
 /// # Errors
 /// Where the port is taken.

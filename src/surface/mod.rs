@@ -110,10 +110,10 @@ impl Surface {
         Ok((surface, space))
     }
 
-    /// Writes a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`, `.mat` (MATLAB: `vertices`, `faces` counted
-    /// from 1, and the arrays). VTP, PLY and MAT-files carry the arrays, all but STL (single precision, triangles only) keep
-    /// positions to the last bit. The file says that it is in [`Space::Ras`]. With the feature `mcap` also `.mcap`, a scene for Foxglove,
-    /// in metres and without arrays.
+    /// Writes a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`, `.mat` (MATLAB: `vertices`,
+    /// `faces` counted from 1, and the arrays). VTP, PLY and MAT-files carry the arrays, all but STL (single
+    /// precision, triangles only) keep positions to the last bit. The file says that it is in [`Space::Ras`].
+    /// With the feature `mcap` also `.mcap`, a scene for Foxglove, in metres and without arrays.
     ///
     /// # Errors
     /// [`Error::UnknownEnding`]; [`Error::Surface`] where there are no triangles or [`check`](Self::check) finds fault;

@@ -250,8 +250,7 @@ fn what_is_irregular_is_counted_and_taken_as_it_comes() {
 fn a_network_that_is_too_fast_loses_its_oldest_frames() {
     let (folder, _) = folder();
     let folder = folder.path();
-    let arguments =
-        ["--listen", "0", "--once", "--queue", "1", "--json", "--log", "log.ndjson"];
+    let arguments = ["--listen", "0", "--once", "--queue", "1", "--json", "--log", "log.ndjson"];
     let mut running = Running::start(&arguments, folder, Stdio::null());
     TcpStream::connect(running.address()).unwrap().write_all(&bytes(folder, "rec.ndjson").repeat(3)).unwrap();
     let (status, out, _) = running.end();
@@ -413,7 +412,8 @@ fn what_cannot_work_is_refused_before_anything_is_written() {
     }
 }
 
-/// Frames as texts have all their digits. Who sends gets the vessel on the same connection, and so does who only looks.
+/// Frames as texts have all their digits. Who sends gets the vessel on the same connection, and so does who
+/// only looks.
 #[test]
 fn frames_by_openigtlink_give_the_bytes_of_the_batch_and_the_vessel_goes_back() {
     let (folder, recording) = folder();

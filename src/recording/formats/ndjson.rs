@@ -12,8 +12,8 @@
 //! | `frame` | the frame's number, where that is not its place; may be absent |
 //! | `cylinder` | the frame's [`CylinderModel`], by the names of its fields; may be absent |
 //!
-//! NaN, which is not JSON but which Python's `json` writes, is read as `null`. Numbers are written with all their digits: what
-//! is read back is equal.
+//! NaN, which is not JSON but which Python's `json` writes, is read as `null`. Numbers are written with all
+//! their digits: what is read back is equal.
 
 use crate::geometry::Pose;
 use crate::output::write_atomically;
@@ -36,8 +36,8 @@ const MEMBERS: [&str; 5] = ["time_s", "pose", "contour", "frame", "cylinder"];
 const OF_CYLINDER: [&str; 5] = ["px_mm", "py_mm", "theta_rad", "phi_rad", "radius_mm"];
 
 impl Frame {
-    /// A frame from one line of NDJSON: `{"time_s": 1.25, "pose": [16 numbers, row by row, mm] or null, "contour": [[x, y], …]
-    /// in mm, null for no echo}`, optionally with `frame` (its number) and `cylinder`.
+    /// A frame from one line of NDJSON: `{"time_s": 1.25, "pose": [16 numbers, row by row, mm] or null,
+    /// "contour": [[x, y], …] in mm, null for no echo}`, optionally with `frame` (its number) and `cylinder`.
     ///
     /// # Errors
     /// [`Error::Recording`] that names all members that are unknown, missing or of another kind.
@@ -45,8 +45,8 @@ impl Frame {
         parse(text).map_err(|found| Error::Recording { field: "frame", found, expected: FORM.into() })
     }
 
-    /// The frame as one line of NDJSON, without the end of the line; [`from_json`](Self::from_json) gives an equal frame, but
-    /// that numbers which are not finite become NaN.
+    /// The frame as one line of NDJSON, without the end of the line; [`from_json`](Self::from_json) gives an
+    /// equal frame, but that numbers which are not finite become NaN.
     pub fn to_json(&self) -> String {
         let Pose { rotation: r, translation_mm: t } = self.world_from_sensor;
         let row = |i: usize| [r.x_axis[i], r.y_axis[i], r.z_axis[i], t[i]];
@@ -248,7 +248,8 @@ fn cut(text: &str) -> String {
 
 /// The frames of a text, line by line. Empty lines count, but are no frames.
 ///
-/// An item is a frame; or, with an inner error, a line that is none; or the failure to read, after which nothing follows.
+/// An item is a frame; or, with an inner error, a line that is none; or the failure to read, after which
+/// nothing follows.
 pub struct FrameLines<R> {
     reader: R,
     line: usize,

@@ -1,5 +1,5 @@
-//! A mesh for Foxglove: an MCAP file with one `foxglove.SceneUpdate` in JSON, positions in metres. It is written only, and carries
-//! no arrays.
+//! A mesh for Foxglove: an MCAP file with one `foxglove.SceneUpdate` in JSON, positions in metres. It is
+//! written only, and carries no arrays.
 
 use crate::surface::{Space, Surface};
 use serde_json::{Value, json};

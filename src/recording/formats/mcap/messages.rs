@@ -16,8 +16,8 @@ pub(super) struct StampedPose {
     pub pose: Pose,
 }
 
-/// A pose and the transform that it is, such as `ProbeToTracker` for the child `Probe` in the parent `Tracker`; without a name where
-/// the message names no child.
+/// A pose and the transform that it is, such as `ProbeToTracker` for the child `Probe` in the parent `Tracker`;
+/// without a name where the message names no child.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct NamedPose {
     pub name: String,

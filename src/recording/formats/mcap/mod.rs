@@ -7,8 +7,9 @@
 //! | `geometry_msgs/msg/PoseStamped` | `cdr` | poses |
 //! | `lumenmesh.Frame` | `json` | contours: a [frame as JSON](Frame::from_json) with `timestamp` (`sec`, `nsec`) instead of `time_s`, and with or without `pose` |
 //!
-//! Positions are in metres, as ROS has them; contours in mm. A contour without a pose of its own has that of its time: between two
-//! poses that are at most 0.1 s apart it is interpolated, and with a longer gap about it there is none.
+//! Positions are in metres, as ROS has them; contours in mm. A contour without a pose of its own has that of
+//! its time: between two poses that are at most 0.1 s apart it is interpolated, and with a longer gap about it
+//! there is none.
 
 mod messages;
 
