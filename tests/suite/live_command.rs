@@ -203,7 +203,7 @@ fn a_bad_line_is_skipped_counted_and_told() {
     let mut lines: Vec<&str> = stream.lines().collect();
     let (status, out, _) = live(&["-", "-o", "good.vtp"], folder, stream.as_bytes());
     assert!(status == 0 && !out.contains("skipped"), "{out}");
-    lines.insert(100, "{\"pose\": [1, 2], \"contour\": [], \"tme_s\": 3}");
+    lines.insert(100, "{\"pose\": [1, 2], \"contour\": [], \"when_s\": 3}");
     lines.insert(200, "half a li");
     let (status, out, said) = live(&["-", "-o", "bad.vtp", "--json"], folder, lines.join("\n").as_bytes());
     assert_eq!((status, said.as_str()), (3, ""));
@@ -211,7 +211,7 @@ fn a_bad_line_is_skipped_counted_and_told() {
     let summary = json(&out);
     assert_eq!((&summary["skipped"], &summary["frames"]), (&2.into(), &250.into()));
     let first = summary["skipped_first"][0].as_str().unwrap();
-    for part in ["stdin: line 101: found ", "the unknown member \"tme_s\"", "pose: 2 numbers, not 16"] {
+    for part in ["stdin: line 101: found ", "the unknown member \"when_s\"", "pose: 2 numbers, not 16"] {
         assert!(first.contains(part), "{first}");
     }
     assert!(summary["skipped_first"][1].as_str().unwrap().contains("line 201: found no JSON"), "{summary}");

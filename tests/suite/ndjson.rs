@@ -73,9 +73,9 @@ fn all_that_is_wrong_with_a_line_is_named() {
     says("{\"pose\": null", &["no JSON", "EOF"]);
     says("{}", &["pose: absent", "contour: absent"]);
     says(
-        "{\"tme_s\": 1, \"pose\": [1,2,3], \"contour\": [[1,2],[3]], \"time_s\": \"1\", \"frame\": -1}",
+        "{\"when_s\": 1, \"pose\": [1,2,3], \"contour\": [[1,2],[3]], \"time_s\": \"1\", \"frame\": -1}",
         &[
-            "the unknown member \"tme_s\"",
+            "the unknown member \"when_s\"",
             "pose: 3 numbers, not 16",
             "contour: an array at point 1",
             "time_s: \"1\", not a number",
