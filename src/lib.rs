@@ -76,6 +76,8 @@ pub mod report;
 mod setters;
 pub mod settings;
 pub mod simulate;
+#[cfg(feature = "cli")]
+mod stream;
 pub mod study;
 pub mod surface;
 pub mod sweep;

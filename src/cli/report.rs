@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 /// Reconstruct a recording and show how well it went, as one HTML page
 ///
-/// The page needs neither network nor scripts: summary, error distribution, the vessel in colours from three sides,
+/// The page is one file that needs no network: summary, error distribution, the vessel in colours from three sides and to turn,
 /// coverage, noise, settings.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:

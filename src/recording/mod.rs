@@ -143,7 +143,7 @@ pub struct Recording {
 impl Recording {
     /// Reads a recording: a MATLAB `.mat` file (v4 to v7.3), a folder of CSV files, or a [sequence file](Sequence) of PLUS
     /// or 3D Slicer (`.igs.mha`, `.igs.mhd`, `.seq.mha`, `.igs.nrrd`, `.seq.nrrd`), or one [frame as JSON](Frame::from_json) per
-    /// line (`.ndjson`, `.jsonl`).
+    /// line (`.ndjson`, `.jsonl`); with the feature `mcap` also an MCAP file with poses of Foxglove or ROS 2 (`.mcap`).
     ///
     /// A `.mat` file holds `rotm` (3×3×F, the sensor's rotation in the world), `Ep` (F×3, its position, mm),
     /// `x_data` and `y_data` (F×M, contours, mm, NaN where there is no echo) and optionally `cyl_px`, `cyl_py`,
@@ -217,7 +217,7 @@ impl Recording {
     /// As [`Recording::read_unchecked`], and where an option is for recordings of another kind.
     pub fn read_with(path: &Path, options: &ReadOptions) -> Result<Self> {
         let is_sequence = Sequence::has_ending(path);
-        if let Some((option, kind)) = options.misplaced(path.is_dir(), is_sequence) {
+        if let Some((option, kind)) = options.misplaced(path.is_dir(), is_sequence, is_mcap(path)) {
             let found = match () {
                 () if path.is_dir() => "a folder of CSV files",
                 () if is_sequence => "a sequence file",
@@ -229,6 +229,8 @@ impl Recording {
             () if path.is_dir() => formats::csv::read(path, options),
             () if is_sequence => Sequence::read(path)?.recording(options),
             () if is_ndjson(path) => formats::ndjson::read(path),
+            #[cfg(feature = "mcap")]
+            () if is_mcap(path) => formats::mcap::read(path, options),
             () => formats::mat::read_by_ending(path),
         }
     }
@@ -286,8 +288,13 @@ pub struct ReadOptions {
     /// The same of the file of the contours.
     pub contour_columns: Option<Vec<String>>,
     /// Of a sequence file, the transform that is the sensor in the world, such as `ProbeToTracker`; or a name for which a
-    /// chain of its transforms and their inverses stands, such as `ProbeToReference`.
+    /// chain of its transforms and their inverses stands, such as `ProbeToReference`. Of an MCAP file, the transform of the child
+    /// `Probe` in the parent `Tracker`.
     pub transform: Option<String>,
+    /// Of an MCAP file, the topic of the poses, where there are several.
+    pub topic: Option<String>,
+    /// Of an MCAP file, the topic of the contours, where there are several.
+    pub contour_topic: Option<String>,
     /// Of a sequence file, which of its times count.
     pub timestamps: Timestamps,
     /// Of a sequence file, contours in a CSV file as [`Recording::read`] has them in a folder, by the frames' numbers.
@@ -300,6 +307,8 @@ crate::setters::setters!(ReadOptions {
     with_pose_columns => pose_columns: Option<Vec<String>>,
     with_contour_columns => contour_columns: Option<Vec<String>>,
     with_transform => transform: Option<String>,
+    with_topic => topic: Option<String>,
+    with_contour_topic => contour_topic: Option<String>,
     with_timestamps => timestamps: Timestamps,
     with_contours => contours: Option<PathBuf>,
     with_plus_config => plus_config: Option<PathBuf>,
@@ -307,9 +316,15 @@ crate::setters::setters!(ReadOptions {
 
 impl ReadOptions {
     /// The first option that is not for this kind of recording, and the kind that it is for.
-    fn misplaced(&self, is_folder: bool, is_sequence: bool) -> Option<(&'static str, &'static str)> {
+    fn misplaced(
+        &self,
+        is_folder: bool,
+        is_sequence: bool,
+        is_mcap: bool,
+    ) -> Option<(&'static str, &'static str)> {
         const CSV: &str = "a folder of CSV files";
         const SEQUENCE: &str = "a sequence file (.igs.mha, .igs.nrrd, …)";
+        const MCAP: &str = "an MCAP file";
         let with_contours = is_sequence && self.contours.is_some();
         [
             (self.pose_columns.is_some() && !is_folder, "names of pose columns", CSV),
@@ -318,7 +333,13 @@ impl ReadOptions {
                 "names of contour columns",
                 "a folder of CSV files, or a sequence file with contours in one",
             ),
-            (self.transform.is_some() && !is_sequence, "name of a transform", SEQUENCE),
+            (
+                self.transform.is_some() && !is_sequence && !is_mcap,
+                "name of a transform",
+                "a sequence file (.igs.mha, .igs.nrrd, …) or an MCAP file",
+            ),
+            (self.topic.is_some() && !is_mcap, "topic of poses", MCAP),
+            (self.contour_topic.is_some() && !is_mcap, "topic of contours", MCAP),
             (self.timestamps != Timestamps::default() && !is_sequence, "kind of timestamps", SEQUENCE),
             (self.contours.is_some() && !is_sequence, "file of contours", SEQUENCE),
             (self.plus_config.is_some() && !is_sequence, "PLUS configuration", SEQUENCE),
@@ -487,6 +508,10 @@ const ROUNDING_TOLERANCE: f64 = 1e-2;
 
 fn is_ndjson(path: &Path) -> bool {
     matches!(ending(path).as_str(), "ndjson" | "jsonl")
+}
+
+fn is_mcap(path: &Path) -> bool {
+    cfg!(feature = "mcap") && ending(path) == "mcap"
 }
 
 fn unknown_ending(path: &Path) -> Error {

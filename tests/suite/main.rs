@@ -23,8 +23,12 @@ mod golden;
 mod import;
 mod layers;
 mod live;
+#[cfg(all(feature = "cli", unix))]
+mod live_command;
 #[cfg(feature = "cli")]
 mod matlab;
+#[cfg(all(feature = "cli", feature = "mcap"))]
+mod mcap;
 mod mesh_files;
 mod method;
 #[cfg(feature = "cli")]

@@ -88,8 +88,13 @@ fn parse(text: &str) -> Result<Frame, String> {
         Ok(other) => return Err(kind(&other).into()),
         Err(error) => return Err(format!("no JSON: {error}")),
     };
+    frame_of(&members)
+}
+
+/// The frame of an object, or all that is wrong with it.
+pub(super) fn frame_of(members: &Map<String, Value>) -> Result<Frame, String> {
     let mut faults = Vec::new();
-    faults.extend(unknown(&members, &MEMBERS));
+    faults.extend(unknown(members, &MEMBERS));
     let mut took = |taken: Result<(), String>| faults.extend(taken.err());
     let mut frame = Frame::new(Pose::LOST, Vec::new());
     took(
