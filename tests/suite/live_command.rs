@@ -250,8 +250,7 @@ fn what_is_irregular_is_counted_and_taken_as_it_comes() {
 fn a_network_that_is_too_fast_loses_its_oldest_frames() {
     let (folder, _) = folder();
     let folder = folder.path();
-    let arguments =
-        ["--listen", "0", "--once", "--queue", "1", "--json", "--log", "log.ndjson"];
+    let arguments = ["--listen", "0", "--once", "--queue", "1", "--json", "--log", "log.ndjson"];
     let mut running = Running::start(&arguments, folder, Stdio::null());
     TcpStream::connect(running.address()).unwrap().write_all(&bytes(folder, "rec.ndjson").repeat(3)).unwrap();
     let (status, out, _) = running.end();
