@@ -4,8 +4,8 @@
 //! `cargo bench --bench openigtlink`. A client sends `TRANSFORM` and `POINT` of the frames of
 //! `recordings/adult_aorta_noisy.mat` in the folder of shared data (`LUMENMESH_SHARED`, default `../shared`)
 //! at 12, 30 and 60 Hz, after the first 400 at once; it gets a tip and a whole vessel for each. The time
-//! begins before the `TRANSFORM` is sent and ends when the answer is decoded: reconstruction, strips,
-//! checksums and both ways are part of it. With `-- --test` everything runs once on little work.
+//! begins before the `TRANSFORM` is sent and ends when the answer is decoded: reconstruction (`push`),
+//! strips, checksums and both ways are part of it. With `-- --test` everything runs once on little work.
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on stops there")]
 
@@ -42,18 +42,22 @@ fn send(mut stream: &TcpStream, frame: &Frame, k: usize) {
     }
 }
 
-/// The reconstruction: frames in, tips and vessels out.
-fn reconstruct(source: Source, server: &Server, settings: &Settings) -> usize {
+/// The reconstruction: frames in, tips and vessels out. Returns the vessel's nodes, and how long each frame
+/// took, ms.
+fn reconstruct(source: Source, server: &Server, settings: &Settings) -> (usize, Vec<f64>) {
     let mut live = Live::new(settings).unwrap();
+    let mut times_ms = Vec::new();
     for frame in source {
         let frame = frame.unwrap();
+        let begun = Instant::now();
         live.push(&frame).unwrap();
+        times_ms.push(begun.elapsed().as_secs_f64() * 1e3);
         server.send_tip(frame.world_from_sensor, frame.time_s);
         if server.wants_vessel() {
             server.send_vessel(&live.surface());
         }
     }
-    live.rings() * live.nodes()
+    (live.rings() * live.nodes(), times_ms)
 }
 
 fn measure(frames: &[Frame], ahead: usize, rate_hz: f64, method: Method) {
@@ -120,11 +124,12 @@ fn measure(frames: &[Frame], ahead: usize, rate_hz: f64, method: Method) {
         send(&stream, frame, k);
     }
     drop(stream);
-    let nodes = computing.join().unwrap();
+    let (nodes, mut times_ms) = computing.join().unwrap();
     drop(Arc::into_inner(outlet));
     let (tips, vessels, shown) = receiving.join().unwrap();
     assert!(!tips.is_empty() && !vessels.is_empty() && shown > 0, "answers came");
     println!("{rate_hz} Hz, {method:?}, {nodes} nodes, {} frames", frames.len() - ahead);
+    println!("   push    {}", percentiles(times_ms.split_off(ahead)));
     println!("   tip     {}", percentiles(tips));
     let count = vessels.len();
     println!("   vessel  {} ({count} of them)", percentiles(vessels));
