@@ -1,8 +1,9 @@
+use super::messages::MessageArguments;
 use super::reconstruct::print_left_out;
 use super::settings::SettingsArguments;
 use super::space::SpaceArgument;
 use super::{Shown, interrupt, print_json, progress, refuse_inputs};
-use crate::openigtlink::{self, AssemblerOptions, Server, SourceOptions};
+use crate::openigtlink::{self, Counts, Server, SharedCounts};
 use crate::reconstruction::{Live, Work};
 use crate::recording::{Finding, LeftOut, Recording, Screening};
 use crate::settings::Settings;
@@ -65,13 +66,6 @@ pub(super) struct Arguments {
     /// Wait on this port for clients of OpenIGTLink that send poses and contours; they get the vessel too
     #[arg(long, value_name = "[IP:]PORT")]
     igtl_listen: Option<String>,
-    /// Of OpenIGTLink: the device whose transforms are the pose, or the tool's name in TDATA [default:
-    /// ProbeToTracker]
-    #[arg(long, value_name = "NAME")]
-    pose_device: Option<String>,
-    /// Of OpenIGTLink: the device of the contours or masks [default: any, but no masks]
-    #[arg(long, value_name = "NAME")]
-    contour_device: Option<String>,
     /// How many times faster than it was recorded a recording is played, or max [default: 1]
     #[arg(long, value_name = "X", value_parser = speed, requires = "recording")]
     speed: Option<Speed>,
@@ -114,6 +108,8 @@ pub(super) struct Arguments {
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    messages: MessageArguments,
     #[command(flatten)]
     settings: SettingsArguments,
 }
@@ -159,6 +155,17 @@ fn duration(text: &str) -> Result<Duration, String> {
 /// Between snapshots where nothing else is asked for.
 const EVERY: Duration = Duration::from_secs(5);
 
+/// What the frames came from.
+struct Given<'a> {
+    recording: Option<&'a Recording>,
+    /// What people call it.
+    name: &'a Path,
+    /// Frames that the snapshot had seen.
+    resumed_from: Option<usize>,
+    /// What came by OpenIGTLink.
+    messages: Option<Counts>,
+}
+
 /// What `--json` prints.
 #[derive(Serialize)]
 struct Summary<'a> {
@@ -176,6 +183,8 @@ struct Summary<'a> {
     /// Frames that were taken in this run.
     frames: usize,
     arrivals: &'a ArrivalsReport,
+    /// Of OpenIGTLink, what came.
+    messages: Option<Counts>,
     /// Frames that were dropped for newer ones.
     dropped: usize,
     /// Lines and messages that are no frames.
@@ -225,8 +234,7 @@ impl Arguments {
             connect: None,
             igtl_connect: Vec::new(),
             igtl_listen: None,
-            pose_device: None,
-            contour_device: None,
+            messages: MessageArguments::default(),
             igtl_serve: None,
             queue: 1,
             no_drop: false,
@@ -251,8 +259,10 @@ impl Arguments {
         let mut log = self.log.as_deref().map(FrameLog::create).transpose()?;
         let mut name = self.recording.clone().unwrap_or_default();
         let mut sinks = self.sinks(&live, &name)?;
+        let mut counts = None;
         interrupt::end_in_order();
-        let mut source = self.source(recording.as_ref(), live.frames(), &mut name, &mut sinks)?;
+        let mut source =
+            self.source(recording.as_ref(), live.frames(), &mut name, &mut sinks, &mut counts)?;
 
         let start = Instant::now();
         let count =
@@ -272,7 +282,9 @@ impl Arguments {
         let text = format!("{} frames in {:.0} s.", outcome.times.len(), start.elapsed().as_secs_f64());
         let end = End { mesh: mesh.as_ref(), is_finished: self.finish, text: &text };
         sinks.iter_mut().for_each(|sink| sink.end(&end));
-        self.print(&live, &outcome, mesh.as_ref(), recording.as_deref(), &name, resumed_from)?;
+        let messages = counts.map(|counts| counts.now());
+        let given = Given { recording: recording.as_deref(), name: &name, resumed_from, messages };
+        self.print(&live, &outcome, mesh.as_ref(), given)?;
         failed?;
         if self.hold {
             eprintln!("lumenmesh: the page stays until Ctrl-C");
@@ -300,11 +312,11 @@ impl Arguments {
             return Err(Error::setting("--once", "no port to wait on", "--listen or --igtl-listen with it"));
         }
         let is_igtl = !self.igtl_connect.is_empty() || self.igtl_listen.is_some();
-        if (self.pose_device.is_some() || self.contour_device.is_some()) && !is_igtl {
+        if self.messages.is_given() && !is_igtl {
             return Err(Error::setting(
-                "--pose-device",
+                "--pose-device and its like",
                 "no OpenIGTLink",
-                "--igtl-connect or --igtl-listen with it",
+                "--igtl-connect or --igtl-listen with them",
             ));
         }
         if self.speed.is_some() && self.recording.as_deref() == Some(Path::new("-")) {
@@ -379,6 +391,7 @@ impl Arguments {
         first: usize,
         name: &mut PathBuf,
         sinks: &mut Vec<Box<dyn Sink>>,
+        counts: &mut Option<SharedCounts>,
     ) -> Result<Source> {
         if let Some(recording) = recording {
             let speed = match self.speed.unwrap_or(Speed::Times(1.0)) {
@@ -403,8 +416,8 @@ impl Arguments {
             }
             _ if is_pipe => read_lines(BufReader::new(std::io::stdin()), "stdin", &queue),
             _ => {
-                let options = self.openigtlink();
-                let mut messages = openigtlink::Source::new(&options)?;
+                let mut messages = openigtlink::Source::new(&self.messages.options(self.once))?;
+                *counts = Some(messages.counts());
                 let mut names = Vec::new();
                 for address in &self.igtl_connect {
                     names.push(messages.connect(address)?.to_string());
@@ -420,15 +433,6 @@ impl Arguments {
             }
         }
         Ok(Source::Queued(queue))
-    }
-
-    fn openigtlink(&self) -> SourceOptions {
-        let assembler = AssemblerOptions::default().with_contour_device(self.contour_device.clone());
-        let assembler = match &self.pose_device {
-            Some(name) => assembler.with_pose_device(name.clone()),
-            None => assembler,
-        };
-        SourceOptions::default().with_assembler(assembler).with_until_disconnected(self.once)
     }
 
     /// The final mesh, written where one is asked for, or why there is none.
@@ -450,15 +454,8 @@ impl Arguments {
         (Some(mesh), written)
     }
 
-    fn print(
-        &self,
-        live: &Live,
-        outcome: &Outcome,
-        mesh: Option<&Surface>,
-        recording: Option<&Recording>,
-        name: &Path,
-        resumed_from: Option<usize>,
-    ) -> Result<()> {
+    fn print(&self, live: &Live, outcome: &Outcome, mesh: Option<&Surface>, given: Given) -> Result<()> {
+        let Given { recording, name, resumed_from, messages } = given;
         let settings = live.settings();
         let Faults { count: skipped, first: skipped_first } = &outcome.faults;
         let frames = outcome.times.len();
@@ -474,6 +471,7 @@ impl Arguments {
             settings,
             frames,
             arrivals: &outcome.arrivals,
+            messages,
             dropped: outcome.dropped,
             skipped: *skipped,
             skipped_first,
@@ -584,6 +582,9 @@ impl Summary<'_> {
             if count > 0 {
                 println!("           {count} {what}");
             }
+        }
+        if let Some(messages) = &self.messages {
+            println!("           {messages}");
         }
         for fault in self.skipped_first {
             println!("           {fault}");

@@ -27,6 +27,8 @@ mod info;
 mod interrupt;
 mod live;
 mod manual;
+mod mask_options;
+mod messages;
 mod progress;
 mod reconstruct;
 mod render;

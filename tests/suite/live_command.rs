@@ -395,7 +395,7 @@ fn what_cannot_work_is_refused_before_anything_is_written() {
         (&["--igtl-connect", "127.0.0.1:1"], 1, "127.0.0.1:1: "),
         (&["rec.mat", "--igtl-listen", "0"], 2, "cannot be used with"),
         (&["rec.mat", "--once"], 1, "setting --once: found no port"),
-        (&["rec.mat", "--pose-device", "A"], 1, "setting --pose-device: found no OpenIGTLink"),
+        (&["rec.mat", "--pose-device", "A"], 1, "setting --pose-device and its like: found no OpenIGTLink"),
         (&["rec.mat", "-o", "a.vtp", "--correct-poses"], 1, "setting sweep.correct_poses"),
         (&["none.mat", "-o", "a.vtp"], 1, "none.mat: cannot read"),
         (&["lost.ndjson", "--speed", "max", "-o", "a.vtp"], 1, "frames: found 250 that show no vessel"),
@@ -460,6 +460,7 @@ fn frames_by_openigtlink_give_the_bytes_of_the_batch_and_the_vessel_goes_back() 
     let (status, out, said) = running.end();
     assert_eq!((status, said.as_str()), (Some(0), ""));
     let nodes = json(&out)["nodes"].as_u64().unwrap() as usize;
+    assert_eq!(json(&out)["messages"]["messages"], recording.frames.len());
     let (looked, sent) = (looked.join().unwrap(), sent.join().unwrap());
     assert_eq!(looked.0, nodes, "the final mesh");
     assert!(sent.0 == nodes || sent.0 == 0, "{} of {nodes}", sent.0);
