@@ -9,6 +9,8 @@
 
 #[path = "../tests/support/data.rs"]
 mod data;
+#[path = "../tests/support/percentiles.rs"]
+mod percentiles;
 
 use cpu_time::ProcessTime;
 use lumenmesh::cylinders::CylinderReconstruction;
@@ -19,13 +21,8 @@ use lumenmesh::settings::{Method, Settings};
 use lumenmesh::simulate::{self, Insertion, Move, Phantom, Shape, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
+use percentiles::percentiles;
 use std::time::Instant;
-
-fn percentiles(mut values: Vec<f64>) -> String {
-    values.sort_by(f64::total_cmp);
-    let rank = |share: f64| values[((share * values.len() as f64).ceil() as usize).max(1) - 1];
-    format!("p50 {:.3}, p95 {:.3}, p99 {:.3}, max {:.3} ms", rank(0.5), rank(0.95), rank(0.99), rank(1.0))
-}
 
 /// The columns of a frame's times, ms.
 const COLUMNS: [&str; 6] = ["wall", "CPU", "screening", "axis", "placing", "solving"];

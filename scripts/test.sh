@@ -2,7 +2,8 @@
 # Installs what the tests need and runs all of them.
 #
 # On Debian and Ubuntu, as root or with sudo, missing pieces come from apt: the software Vulkan driver where no
-# adapter is found, Octave, Chromium, and a Python environment with VTK, SimpleITK, pynrrd, trimesh and PyMeshLab under target/. Tests
+# adapter is found, Octave, Chromium, Gmsh, libOpenIGTLink, and a Python environment with VTK, SimpleITK, pynrrd, trimesh,
+# PyMeshLab, pyigtl and mcap under target/. Tests
 # whose tool or data is still missing say SKIPPED; with LUMENMESH_REQUIRE_GPU=1, LUMENMESH_REQUIRE_DATA=1 or LUMENMESH_REQUIRE_TOOLS=1 they
 # fail instead. LUMENMESH_SHARED names the folder of recordings and truth surfaces (default: ../shared).
 #
@@ -37,17 +38,18 @@ target/debug/lumenmesh devices || true
 
 say "other tools"
 command -v octave-cli >/dev/null || apt_install octave || echo "octave-cli is missing: its tests will be skipped"
-for tool in cmake pkg-config valgrind chromium gmsh; do
+[ -d /usr/include/openigtlink ] || apt_install libopenigtlink-dev || echo "libopenigtlink-dev is missing: its test will be skipped"
+for tool in cmake g++ pkg-config valgrind chromium gmsh; do
   command -v "$tool" >/dev/null || apt_install "$tool" || echo "$tool is missing: its tests will be skipped"
 done
 if [ -z "${LUMENMESH_PYTHON:-}" ]; then
   venv=target/python
-  if ! "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd, trimesh, pymeshlab' 2>/dev/null; then
+  if ! "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd, trimesh, pymeshlab, pyigtl, mcap' 2>/dev/null; then
     apt_install libgl1 libxrender1 || true
-    { python3 -m venv "$venv" && "$venv/bin/pip" install -q --disable-pip-version-check numpy scipy vtk SimpleITK pynrrd trimesh pymeshlab; } ||
-      echo "no Python with VTK, SimpleITK, pynrrd, trimesh and PyMeshLab: its tests will be skipped"
+    { python3 -m venv "$venv" && "$venv/bin/pip" install -q --disable-pip-version-check numpy scipy vtk SimpleITK pynrrd trimesh pymeshlab pyigtl mcap; } ||
+      echo "no Python with VTK, SimpleITK, pynrrd, trimesh, PyMeshLab, pyigtl and mcap: its tests will be skipped"
   fi
-  if "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd, trimesh, pymeshlab' 2>/dev/null; then export LUMENMESH_PYTHON="$PWD/$venv/bin/python"; fi
+  if "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd, trimesh, pymeshlab, pyigtl, mcap' 2>/dev/null; then export LUMENMESH_PYTHON="$PWD/$venv/bin/python"; fi
 fi
 
 log=$(mktemp)
@@ -77,9 +79,9 @@ else
   echo "SKIPPED: the Python package, the documentation and the page: no Python with NumPy under target/"
   [ "${LUMENMESH_REQUIRE_TOOLS:-}" != 1 ] || status=1
 fi
-run cargo test "${chosen[@]}" --bench distance --bench fit --bench live -- --test
+run cargo test "${chosen[@]}" --bench distance --bench fit --bench live --bench openigtlink -- --test
 # Each feature builds alone, and the library without any.
-for features in "" cli gpu render; do
+for features in "" cli gpu render mcap; do
   run cargo check --quiet --no-default-features --features "$features"
 done
 if [ "${1:-}" = --release ]; then

@@ -37,6 +37,14 @@ pub enum Error {
         /// What the system or the encoder said.
         source: std::io::Error,
     },
+    /// A connection could not be made, or was lost.
+    #[error("connection to {address}: {source}")]
+    Connection {
+        /// The other side, as it was given.
+        address: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// A file's content is not what its format or its use asks for.
     #[error("{}: {}{field}: found {found}, expected {expected}", path.display(), frame_prefix(*frame))]
     #[non_exhaustive]

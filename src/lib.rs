@@ -38,6 +38,7 @@
 //! | [`gpu`] | adapters, devices, what the engines require of them |
 //! | [`recording`] | recordings, frames, cylinder models; `.mat` files, CSV folders, untracked pullbacks |
 //! | [`surface`] | triangle surfaces with arrays per node; VTP, PLY, STL, OBJ, legacy VTK |
+//! | [`openigtlink`] | messages of OpenIGTLink: bytes to poses, meshes and texts, and back |
 //! | [`settings`] | every setting, with its default, its limits and a TOML form |
 //! | [`engine`] | where work is computed, and why there |
 //! | [`cylinders`] | the published method: cylinders fitted to the wall points about a frame, then merged |
@@ -68,6 +69,7 @@ pub mod gpu;
 pub mod low_level;
 mod matfile;
 mod numerics;
+pub mod openigtlink;
 pub mod output;
 pub mod reconstruction;
 pub mod recording;
@@ -76,6 +78,8 @@ pub mod report;
 mod setters;
 pub mod settings;
 pub mod simulate;
+#[cfg(feature = "cli")]
+mod stream;
 pub mod study;
 pub mod surface;
 pub mod sweep;

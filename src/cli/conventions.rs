@@ -38,9 +38,17 @@ pub(super) struct ConventionArguments {
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     contour_columns: Option<Vec<String>>,
     /// Of a sequence file: the pose, by the name of a transform or of a chain of them and their inverses
-    /// [default: the only one, or ProbeToTracker]
+    /// [default: the only one, or ProbeToTracker]. Of an MCAP file: ChildToParent
     #[arg(long, value_name = "NAME")]
     transform: Option<String>,
+    /// Of an MCAP file: the topic of the poses [default: the only one]
+    #[cfg(feature = "mcap")]
+    #[arg(long, value_name = "NAME")]
+    topic: Option<String>,
+    /// Of an MCAP file: the topic of the contours [default: the only one]
+    #[cfg(feature = "mcap")]
+    #[arg(long, value_name = "NAME")]
+    contour_topic: Option<String>,
     /// Of a sequence file: which times count [default: filtered]
     #[arg(long, value_enum, value_name = "KIND")]
     timestamps: Option<Timestamps>,
@@ -60,7 +68,10 @@ impl ConventionArguments {
 
     /// What the recording's file leaves open.
     pub(super) fn reading(&self) -> ReadOptions {
-        ReadOptions::default()
+        let options = ReadOptions::default();
+        #[cfg(feature = "mcap")]
+        let options = options.with_topic(self.topic.clone()).with_contour_topic(self.contour_topic.clone());
+        options
             .with_pose_columns(self.pose_columns.clone())
             .with_contour_columns(self.contour_columns.clone())
             .with_transform(self.transform.clone())

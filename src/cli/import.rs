@@ -1,11 +1,10 @@
 use super::conventions::ConventionArguments;
-use super::{numbers, print_json, refuse_inputs};
+use super::mask_options::MaskOptionArguments;
+use super::{print_json, refuse_inputs};
 use crate::Result;
 use crate::cylinders::estimate::{CylinderEstimator, Upright};
 use crate::geometry::Pose;
-use crate::recording::{
-    Conventions, Curves, MaskOptions, Masks, Pullback, PullbackOptions, PullbackPath, Summary,
-};
+use crate::recording::{Conventions, Curves, Masks, Pullback, PullbackOptions, PullbackPath, Summary};
 use glam::DVec2;
 use std::path::PathBuf;
 
@@ -42,21 +41,8 @@ struct MaskArguments {
     /// Where to write the recording: a .mat or sequence file, or a folder of CSV files
     #[arg(short, long)]
     output: PathBuf,
-    /// Pixels at or above it are lumen [default: half of the largest pixel]
-    #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
-    threshold: Option<f64>,
-    /// Width and height of a pixel in mm, or one number for both [default: of ImageToProbe]
-    #[arg(long, value_name = "MM[,MM]", value_parser = pixel_size)]
-    pixel_size: Option<[f64; 2]>,
-    /// The probe in the image, in pixels from the centre of the first [default: of ImageToProbe, or the middle]
-    #[arg(long, value_name = "X,Y", value_parser = numbers::<2>, allow_hyphen_values = true)]
-    centre: Option<[f64; 2]>,
-    /// Points of a contour
-    #[arg(long, value_name = "N", default_value_t = MaskOptions::default().points)]
-    points: usize,
-    /// Take the largest region where none contains the probe
-    #[arg(long)]
-    largest: bool,
+    #[command(flatten)]
+    mask: MaskOptionArguments,
     /// Print JSON instead of text
     #[arg(long)]
     json: bool,
@@ -88,12 +74,13 @@ struct CurveArguments {
 #[command(after_help = "Examples:
   lumenmesh import recording pullback.mat -o pullback.igs.mha        # for PLUS and 3D Slicer
   lumenmesh import recording tracker.igs.mha -o pullback.mat --transform ProbeToReference --contours contours.csv
+  lumenmesh import recording pullback.mat -o pullback.ndjson         # a frame as JSON per line, for lumenmesh live
   lumenmesh import recording recording/ -o pullback.mat --quaternion wxyz --units m")]
 struct RecordingArguments {
-    /// A .mat or sequence file, or a folder of CSV files
+    /// A .mat, sequence or .ndjson file, or a folder of CSV files
     #[arg(value_name = "REC")]
     recording: PathBuf,
-    /// Where to write it: a .mat or sequence file, or a folder of CSV files
+    /// Where to write it: a .mat, sequence or .ndjson file, or a folder of CSV files
     #[arg(short, long)]
     output: PathBuf,
     /// Print JSON instead of text
@@ -101,13 +88,6 @@ struct RecordingArguments {
     json: bool,
     #[command(flatten)]
     conventions: ConventionArguments,
-}
-
-fn pixel_size(text: &str) -> Result<[f64; 2], String> {
-    match text.contains(',') {
-        true => numbers::<2>(text),
-        false => numbers::<1>(text).map(|[size]| [size, size]),
-    }
 }
 
 /// Import contours of an untracked pullback; poses are assumed along a line
@@ -208,13 +188,7 @@ impl MaskArguments {
     fn run(self) -> Result<()> {
         let inputs = [Some(&*self.images)].into_iter().chain(self.reading.inputs());
         refuse_inputs([Some(&*self.output)], inputs)?;
-        let options = MaskOptions::default()
-            .with_threshold(self.threshold)
-            .with_points(self.points)
-            .with_pixel_mm(self.pixel_size)
-            .with_centre_px(self.centre)
-            .with_largest(self.largest);
-        let masks = Masks::read(&self.images, &self.reading.reading(), &options)?;
+        let masks = Masks::read(&self.images, &self.reading.reading(), &self.mask.options())?;
         let recording = self.reading.over(Conventions::default()).apply(&masks.recording);
         recording.write(&self.output)?;
         let Masks { threshold, without_pose, empty, probe_outside, cut, without_image, tilted, .. } = masks;

@@ -24,8 +24,12 @@ mod evaluate;
 mod experiments;
 mod import;
 mod info;
+mod interrupt;
+mod live;
 mod manual;
+mod mask_options;
 mod mesh;
+mod messages;
 mod progress;
 mod reconstruct;
 mod render;
@@ -39,7 +43,7 @@ mod study;
 mod vessel;
 mod view;
 
-use crate::output::{self, remove_unfinished};
+use crate::output;
 use crate::recording::{Recording, Screened, Screening};
 use crate::settings::Settings;
 use crate::{Error, Result};
@@ -73,6 +77,7 @@ enum Command {
     Simulate(simulate::Arguments),
     Experiments(experiments::Arguments),
     Study(study::Arguments),
+    Live(Box<live::Arguments>),
     Replay(replay::Arguments),
     Render(render::Arguments),
     Report(report::Arguments),
@@ -83,10 +88,11 @@ enum Command {
     Manual(manual::Manual),
 }
 
-/// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong.
+/// Runs the command line of this process. Exit status: 0 done, 1 the work failed, 2 the usage is wrong; `live`
+/// has more.
 pub fn main() -> ExitCode {
     quiet_drivers();
-    remove_files_on_signals();
+    interrupt::watch();
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         // clap ignores that they cannot be written.
@@ -100,7 +106,7 @@ pub fn main() -> ExitCode {
         }
         Err(wrong) => wrong.exit(),
     };
-    let done: Result<()> = match arguments.command {
+    let done = match arguments.command {
         Command::Reconstruct(arguments) => arguments.run(),
         Command::Evaluate(arguments) => arguments.run(),
         Command::Axis(arguments) => arguments.run(),
@@ -116,7 +122,8 @@ pub fn main() -> ExitCode {
         Command::Simulate(arguments) => arguments.run(),
         Command::Experiments(arguments) => arguments.run(),
         Command::Study(arguments) => arguments.run(),
-        Command::Replay(arguments) => arguments.run(),
+        Command::Live(arguments) => return status(arguments.run()),
+        Command::Replay(arguments) => return status(arguments.run()),
         Command::Render(arguments) => arguments.run(),
         Command::Report(arguments) => arguments.run(),
         Command::View(arguments) => arguments.run(),
@@ -125,29 +132,17 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "gpu")]
         Command::Devices(arguments) => arguments.run(),
     };
+    status(done.map(|()| ExitCode::SUCCESS))
+}
+
+/// The exit status of a command; an error is told.
+fn status(done: Result<ExitCode>) -> ExitCode {
     match done {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => {
             eprintln!("lumenmesh: {error}");
             ExitCode::FAILURE
         }
-    }
-}
-
-/// Ends an interrupted process as usual, but without its temporary files.
-fn remove_files_on_signals() {
-    #[cfg(unix)]
-    {
-        use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-        // Without the handler the process ends as well, but leaves its temporary files.
-        let Ok(mut signals) = signal_hook::iterator::Signals::new([SIGHUP, SIGINT, SIGTERM]) else { return };
-        std::thread::spawn(move || {
-            for signal in signals.forever() {
-                remove_unfinished();
-                // Ends the process.
-                let _ = signal_hook::low_level::emulate_default_handler(signal);
-            }
-        });
     }
 }
 

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 
 /// Reconstruct a recording and show how well it went, as one HTML page
 ///
-/// The page needs neither network nor scripts: summary, error distribution, the vessel in colours from three sides,
-/// coverage, noise, settings.
+/// The page is one file that needs no network: summary, error distribution, the vessel in colours from three
+/// sides and to turn, coverage, noise, settings.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh report pullback.mat -o report.html

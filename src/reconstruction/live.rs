@@ -324,6 +324,11 @@ impl Live {
         }
     }
 
+    /// The settings that it was made with.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
     /// Frames taken.
     pub fn frames(&self) -> usize {
         self.frames

@@ -36,27 +36,38 @@ impl Live {
     /// # Errors
     /// [`Error::Write`] where the file cannot be written; it is then as before.
     pub fn snapshot(&self, path: &Path) -> Result<()> {
+        let bytes = self.state().map_err(|e| e.in_file(path))?;
+        write_atomically(path, |file| file.write_all(&bytes))
+    }
+
+    /// The bytes of a [snapshot](Self::snapshot), for a host that writes them while the next frame is computed.
+    ///
+    /// # Errors
+    /// [`Error::Recording`] where the state has no form as bytes.
+    pub fn state(&self) -> Result<Vec<u8>> {
         let common = Common {
             settings: self.settings.to_toml()?,
             frames: self.frames,
             kept: self.kept.as_ref().map(|recording| &recording.frames),
             screening: &self.screening,
         };
-        let failed = |e: postcard::Error| Error::write(path, std::io::Error::other(e));
+        let failed = |e: postcard::Error| Error::Recording {
+            field: "state",
+            found: e.to_string(),
+            expected: "what can be written".into(),
+        };
         let mut content = postcard::to_stdvec(&common).map_err(failed)?;
         content = match &self.vessel {
             Vessel::Cylinders(cylinders) => postcard::to_extend(cylinders.state(), content),
             Vessel::Sweep(sweep) => postcard::to_extend(&**sweep, content),
         }
         .map_err(failed)?;
-        let mut header = MAGIC.to_vec();
-        header.extend(VERSION.to_le_bytes());
-        header.extend(crc32fast::hash(&content).to_le_bytes());
-        header.extend((content.len() as u64).to_le_bytes());
-        write_atomically(path, |file| {
-            file.write_all(&header)?;
-            file.write_all(&content)
-        })
+        let mut state = MAGIC.to_vec();
+        state.extend(VERSION.to_le_bytes());
+        state.extend(crc32fast::hash(&content).to_le_bytes());
+        state.extend((content.len() as u64).to_le_bytes());
+        state.extend(content);
+        Ok(state)
     }
 
     /// A vessel as it was when the [snapshot](Self::snapshot) was written, with its settings. What follows is the same, to

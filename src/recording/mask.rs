@@ -61,8 +61,91 @@ crate::setters::setters!(MaskOptions {
     with_largest => largest: bool,
 });
 
+/// The contour in one image.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct MaskContour {
+    /// Points in the contour's plane, mm, counter-clockwise from the direction of x; none where the image shows no lumen. NaN:
+    /// there the image's edge cuts the outline.
+    pub contour_mm: Vec<DVec2>,
+    /// The plane of the contour in the probe's coordinates: the identity, but where the image's plane is tilted.
+    pub probe_from_plane: Pose,
+    /// Whether it was found.
+    pub found: MaskFound,
+}
+
+/// What an image shows of the lumen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MaskFound {
+    /// All of its outline.
+    Whole,
+    /// An outline that the image's edge cuts.
+    Cut,
+    /// Nothing: no pixel is at the threshold.
+    Empty,
+    /// Regions, but the probe lies in none of them.
+    ProbeOutside,
+}
+
 impl MaskOptions {
-    fn check(&self) -> Result<()> {
+    /// The contour in one image whose directions are those of the transform `ImageToProbe`, which takes pixels to mm; where the
+    /// options have the size of a pixel, that counts in its place. Pixels at or above `threshold` are lumen, whatever the
+    /// options' own.
+    ///
+    /// # Errors
+    /// Where an option makes no sense, or the transform makes no rectangles of pixels.
+    pub fn contour_of(&self, image: &Image, threshold: f64, probe_from_image: &DMat4) -> Result<MaskContour> {
+        self.check()?;
+        self.oriented_contour(image, threshold, Orientation::of(""), probe_from_image)
+    }
+
+    /// The outline of the region about the probe, at equal distances.
+    fn oriented_contour(
+        &self,
+        image: &Image,
+        threshold: f64,
+        orientation: Orientation,
+        probe_from_image: &DMat4,
+    ) -> Result<MaskContour> {
+        let size = [image.width, image.height];
+        let [width, height] = orientation.size(size);
+        let middle = DVec2::new(width as f64 - 1.0, height as f64 - 1.0) / 2.0;
+        let placed = match self.pixel_mm {
+            Some(pixel_mm) => Placed::of_pixels(pixel_mm, self.centre_px.map_or(middle, DVec2::from_array)),
+            None => Placed::of(probe_from_image)?,
+        };
+        let probe_mm = match self.centre_px {
+            Some(centre) => placed.mm(DVec2::from_array(centre)),
+            None => DVec2::ZERO,
+        };
+        let contour =
+            |found, contour_mm| MaskContour { contour_mm, probe_from_plane: placed.probe_from_plane, found };
+        // Only where the lumen lies inside: an outline about a hole runs the other way.
+        let mut regions: Vec<Outline> =
+            outlines(image, threshold as f32).into_iter().filter(|o| o.twice_area > 0.0).collect();
+        if regions.is_empty() {
+            return Ok(contour(MaskFound::Empty, Vec::new()));
+        }
+        for (point, _) in regions.iter_mut().flat_map(|outline| &mut outline.points_px) {
+            *point = placed.mm(orientation.marked_far(*point, size));
+        }
+        let area = |outline: &Outline| outline.twice_area;
+        let about = regions
+            .iter()
+            .filter(|outline| outline.contains(probe_mm))
+            .min_by(|a, b| area(a).total_cmp(&area(b)));
+        let Some(outline) = about.or_else(|| {
+            let largest = regions.iter().max_by(|a, b| area(a).total_cmp(&area(b)));
+            largest.filter(|_| self.largest)
+        }) else {
+            return Ok(contour(MaskFound::ProbeOutside, Vec::new()));
+        };
+        let points = spaced(&outline.points_px, probe_mm, self.points);
+        let is_cut = points.iter().any(|p| p.is_nan());
+        Ok(contour(if is_cut { MaskFound::Cut } else { MaskFound::Whole }, points))
+    }
+
+    pub(crate) fn check(&self) -> Result<()> {
         if !(3..=100_000).contains(&self.points) {
             return Err(Error::setting("points", self.points, "3 to 100000"));
         }
@@ -231,29 +314,21 @@ impl Masks {
         for image in sequence.images()? {
             let (place, image) = image?;
             has_image[place] = true;
-            let size = orientation.size([image.width, image.height]);
-            let middle = DVec2::new(size[0] as f64 - 1.0, size[1] as f64 - 1.0) / 2.0;
-            let centre_px = options.centre_px.map_or(middle, DVec2::from_array);
-            let placed = match (options.pixel_mm, matrices.get(place).copied().flatten()) {
-                (Some(pixel_mm), _) => Placed::of_pixels(pixel_mm, centre_px),
-                (None, Some(matrix)) => {
-                    let number = frames[place].number.unwrap_or(place);
-                    Placed::of(&matrix).map_err(|e| e.in_frame_of(path, number))?
-                }
-                // Where the image lies is as unknown as where the probe lies.
-                (None, None) => {
-                    frames[place].world_from_sensor = Pose::LOST;
-                    continue;
-                }
-            };
-            masks.tilted |= placed.probe_from_plane != Pose::IDENTITY;
+            let matrix = matrices.get(place).copied().flatten();
             let frame = &mut frames[place];
-            frame.world_from_sensor = frame.world_from_sensor * placed.probe_from_plane;
-            let probe_mm = match options.centre_px {
-                Some(centre) => placed.mm(DVec2::from_array(centre)),
-                None => DVec2::ZERO,
-            };
-            frame.contour_mm = masks.contour_mm(&image, orientation, &placed, probe_mm, options);
+            // Where the image lies is as unknown as where the probe lies.
+            if options.pixel_mm.is_none() && matrix.is_none() {
+                frame.world_from_sensor = Pose::LOST;
+                continue;
+            }
+            let number = frame.number.unwrap_or(place);
+            let contour = options
+                .oriented_contour(&image, threshold, orientation, &matrix.unwrap_or_default())
+                .map_err(|e| e.in_frame_of(path, number))?;
+            masks.tilted |= contour.probe_from_plane != Pose::IDENTITY;
+            masks.count(contour.found);
+            frame.world_from_sensor = frame.world_from_sensor * contour.probe_from_plane;
+            frame.contour_mm = contour.contour_mm;
         }
         masks.without_image = has_image.iter().filter(|has| !**has).count();
         for (k, frame) in frames.iter_mut().enumerate() {
@@ -275,43 +350,13 @@ impl Masks {
         Ok(masks)
     }
 
-    /// The outline of the region about the probe, at equal distances, counter-clockwise from the direction of x; empty
-    /// where there is none.
-    fn contour_mm(
-        &mut self,
-        image: &Image,
-        orientation: Orientation,
-        placed: &Placed,
-        probe_mm: DVec2,
-        options: &MaskOptions,
-    ) -> Vec<DVec2> {
-        let size = [image.width, image.height];
-        let to_mm = |p: DVec2| placed.mm(orientation.marked_far(p, size));
-        // Only where the lumen lies inside: an outline about a hole runs the other way.
-        let mut regions: Vec<Outline> =
-            outlines(image, self.threshold as f32).into_iter().filter(|o| o.twice_area > 0.0).collect();
-        if regions.is_empty() {
-            self.empty += 1;
-            return Vec::new();
+    fn count(&mut self, found: MaskFound) {
+        match found {
+            MaskFound::Whole => {}
+            MaskFound::Cut => self.cut += 1,
+            MaskFound::Empty => self.empty += 1,
+            MaskFound::ProbeOutside => self.probe_outside += 1,
         }
-        for (point, _) in regions.iter_mut().flat_map(|outline| &mut outline.points_px) {
-            *point = to_mm(*point);
-        }
-        let area = |outline: &Outline| outline.twice_area;
-        let about = regions
-            .iter()
-            .filter(|outline| outline.contains(probe_mm))
-            .min_by(|a, b| area(a).total_cmp(&area(b)));
-        let Some(outline) = about.or_else(|| {
-            let largest = regions.iter().max_by(|a, b| area(a).total_cmp(&area(b)));
-            largest.filter(|_| options.largest)
-        }) else {
-            self.probe_outside += 1;
-            return Vec::new();
-        };
-        let contour = spaced(&outline.points_px, probe_mm, options.points);
-        self.cut += usize::from(contour.iter().any(|p| p.is_nan()));
-        contour
     }
 }
 

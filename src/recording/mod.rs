@@ -19,12 +19,13 @@ pub use cylinder::CylinderModel;
 pub(crate) use cylinder::MAX_RADIUS_MM;
 pub use finding::{Example, Finding};
 pub(crate) use formats::Table;
-pub use mask::{MaskOptions, Masks};
+pub use formats::ndjson::{BadLine, FrameLines};
+pub use mask::{MaskContour, MaskFound, MaskOptions, Masks};
 pub use pullback::{Pullback, PullbackOptions, PullbackPath};
 pub(crate) use screening::{Judged, LiveScreening};
 pub use screening::{LeftOut, NoEcho, Reason, RingDown, Screened, Screening, UnfitFrames};
 pub use sequence::{
-    CONTOUR_X, CONTOUR_Y, Image, Sequence, SequenceContents, SequenceImages, TransformContents,
+    CONTOUR_X, CONTOUR_Y, Image, PixelType, Sequence, SequenceContents, SequenceImages, TransformContents,
 };
 pub use summary::{MinMedianMax, Summary};
 
@@ -140,8 +141,10 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Reads a recording: a MATLAB `.mat` file (v4 to v7.3), a folder of CSV files, or a [sequence file](Sequence) of PLUS
-    /// or 3D Slicer (`.igs.mha`, `.igs.mhd`, `.seq.mha`, `.igs.nrrd`, `.seq.nrrd`).
+    /// Reads a recording: a MATLAB `.mat` file (v4 to v7.3), a folder of CSV files, or a [sequence
+    /// file](Sequence) of PLUS or 3D Slicer (`.igs.mha`, `.igs.mhd`, `.seq.mha`, `.igs.nrrd`, `.seq.nrrd`), or
+    /// one [frame as JSON](Frame::from_json) per line (`.ndjson`, `.jsonl`); with the feature `mcap` also an
+    /// MCAP file with poses of Foxglove or ROS 2 (`.mcap`).
     ///
     /// A `.mat` file holds `rotm` (3×3×F, the sensor's rotation in the world), `Ep` (F×3, its position, mm),
     /// `x_data` and `y_data` (F×M, contours, mm, NaN where there is no echo) and optionally `cyl_px`, `cyl_py`,
@@ -215,7 +218,7 @@ impl Recording {
     /// As [`Recording::read_unchecked`], and where an option is for recordings of another kind.
     pub fn read_with(path: &Path, options: &ReadOptions) -> Result<Self> {
         let is_sequence = Sequence::has_ending(path);
-        if let Some((option, kind)) = options.misplaced(path.is_dir(), is_sequence) {
+        if let Some((option, kind)) = options.misplaced(path.is_dir(), is_sequence, is_mcap(path)) {
             let found = match () {
                 () if path.is_dir() => "a folder of CSV files",
                 () if is_sequence => "a sequence file",
@@ -226,6 +229,9 @@ impl Recording {
         match () {
             () if path.is_dir() => formats::csv::read(path, options),
             () if is_sequence => Sequence::read(path)?.recording(options),
+            () if is_ndjson(path) => formats::ndjson::read(path),
+            #[cfg(feature = "mcap")]
+            () if is_mcap(path) => formats::mcap::read(path, options),
             () => formats::mat::read_by_ending(path),
         }
     }
@@ -235,15 +241,18 @@ impl Recording {
         self.frames.get(k).and_then(|frame| frame.number).unwrap_or(k)
     }
 
-    /// Writes a recording: `.mat` by that ending, a [sequence file](Sequence) by `.mha`, `.mhd` or `.nrrd` (`.mhd`
-    /// with a `.raw` beside it), else (no ending, or a folder that is there) a folder of CSV
-    /// files. All read back equal, but that CSV files hold rotations as quaternions (equal to 1e-12), and sequence files
-    /// no cylinder models.
+    /// Writes a recording: `.mat` and `.ndjson` by that ending, a [sequence file](Sequence) by `.mha`, `.mhd`
+    /// or `.nrrd` (`.mhd` with a `.raw` beside it), else (no ending, or a folder that is there) a folder of CSV
+    /// files. All read back equal, but that CSV files hold rotations as quaternions (equal to 1e-12), and
+    /// sequence files no cylinder models. `.ndjson` is one [frame as JSON](Frame::to_json) per line.
     ///
     /// # Errors
-    /// Where the recording fails [`Recording::check`], the ending is another one, or the file or folder cannot
-    /// be written; no partial file is left behind.
+    /// Where the recording fails [`Recording::check`] (but in `.ndjson`, where a frame may have no pose), the
+    /// ending is another one, or the file or folder cannot be written; no partial file is left behind.
     pub fn write(&self, path: &Path) -> Result<()> {
+        if is_ndjson(path) && !path.is_dir() {
+            return formats::ndjson::write(self, path);
+        }
         self.check().map_err(|e| e.in_file(path))?;
         match ending(path).as_str() {
             _ if path.is_dir() => formats::csv::write(self, path),
@@ -279,9 +288,14 @@ pub struct ReadOptions {
     pub pose_columns: Option<Vec<String>>,
     /// The same of the file of the contours.
     pub contour_columns: Option<Vec<String>>,
-    /// Of a sequence file, the transform that is the sensor in the world, such as `ProbeToTracker`; or a name for which a
-    /// chain of its transforms and their inverses stands, such as `ProbeToReference`.
+    /// Of a sequence file, the transform that is the sensor in the world, such as `ProbeToTracker`; or a name
+    /// for which a chain of its transforms and their inverses stands, such as `ProbeToReference`. Of an MCAP
+    /// file, the transform of the child `Probe` in the parent `Tracker`.
     pub transform: Option<String>,
+    /// Of an MCAP file, the topic of the poses, where there are several.
+    pub topic: Option<String>,
+    /// Of an MCAP file, the topic of the contours, where there are several.
+    pub contour_topic: Option<String>,
     /// Of a sequence file, which of its times count.
     pub timestamps: Timestamps,
     /// Of a sequence file, contours in a CSV file as [`Recording::read`] has them in a folder, by the frames' numbers.
@@ -294,6 +308,8 @@ crate::setters::setters!(ReadOptions {
     with_pose_columns => pose_columns: Option<Vec<String>>,
     with_contour_columns => contour_columns: Option<Vec<String>>,
     with_transform => transform: Option<String>,
+    with_topic => topic: Option<String>,
+    with_contour_topic => contour_topic: Option<String>,
     with_timestamps => timestamps: Timestamps,
     with_contours => contours: Option<PathBuf>,
     with_plus_config => plus_config: Option<PathBuf>,
@@ -301,9 +317,15 @@ crate::setters::setters!(ReadOptions {
 
 impl ReadOptions {
     /// The first option that is not for this kind of recording, and the kind that it is for.
-    fn misplaced(&self, is_folder: bool, is_sequence: bool) -> Option<(&'static str, &'static str)> {
+    fn misplaced(
+        &self,
+        is_folder: bool,
+        is_sequence: bool,
+        is_mcap: bool,
+    ) -> Option<(&'static str, &'static str)> {
         const CSV: &str = "a folder of CSV files";
         const SEQUENCE: &str = "a sequence file (.igs.mha, .igs.nrrd, …)";
+        const MCAP: &str = "an MCAP file";
         let with_contours = is_sequence && self.contours.is_some();
         [
             (self.pose_columns.is_some() && !is_folder, "names of pose columns", CSV),
@@ -312,7 +334,13 @@ impl ReadOptions {
                 "names of contour columns",
                 "a folder of CSV files, or a sequence file with contours in one",
             ),
-            (self.transform.is_some() && !is_sequence, "name of a transform", SEQUENCE),
+            (
+                self.transform.is_some() && !is_sequence && !is_mcap,
+                "name of a transform",
+                "a sequence file (.igs.mha, .igs.nrrd, …) or an MCAP file",
+            ),
+            (self.topic.is_some() && !is_mcap, "topic of poses", MCAP),
+            (self.contour_topic.is_some() && !is_mcap, "topic of contours", MCAP),
             (self.timestamps != Timestamps::default() && !is_sequence, "kind of timestamps", SEQUENCE),
             (self.contours.is_some() && !is_sequence, "file of contours", SEQUENCE),
             (self.plus_config.is_some() && !is_sequence, "PLUS configuration", SEQUENCE),
@@ -479,10 +507,18 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 /// orthonormal.
 const ROUNDING_TOLERANCE: f64 = 1e-2;
 
+fn is_ndjson(path: &Path) -> bool {
+    matches!(ending(path).as_str(), "ndjson" | "jsonl")
+}
+
+fn is_mcap(path: &Path) -> bool {
+    cfg!(feature = "mcap") && ending(path) == "mcap"
+}
+
 fn unknown_ending(path: &Path) -> Error {
     Error::UnknownEnding {
         path: path.to_owned(),
         ending: ending(path),
-        expected: "mat, mha, mhd, nrrd, or none for a folder of CSV files",
+        expected: "mat, mha, mhd, nrrd, ndjson, or none for a folder of CSV files",
     }
 }

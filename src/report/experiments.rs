@@ -165,6 +165,7 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
              largest error."
         );
         page.mesh(mesh, &style, &caption)?;
+        page.viewer(&format!("The vessel, {name}"), mesh, None);
     }
 
     page.table(&all[7]);

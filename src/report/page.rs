@@ -1,7 +1,11 @@
-//! An HTML page: one file that contains its style, plots and pictures and needs neither network nor scripts.
+//! An HTML page: one file that contains its style, plots and pictures and needs no network. Without scripts,
+//! all but the vessel to turn is there.
 
 use super::render::{Style, render};
+use super::viewer::embedded_page;
 use crate::Result;
+use crate::geometry::Pose;
+use crate::recording::Recording;
 use crate::surface::Surface;
 use base64::Engine as _;
 use std::fmt::Write as _;
@@ -125,6 +129,32 @@ impl Page {
         Ok(self.figure(&format!("<img alt=\"{alt}\" src=\"data:image/png;base64,{data}\">"), caption))
     }
 
+    /// The same mesh to turn and measure, as a page within this one; on paper the pictures remain. A mesh that
+    /// would make the page too large is left to `lumenmesh view`.
+    pub fn viewer(
+        &mut self,
+        name: &str,
+        surface: &Surface,
+        recording: Option<(&Recording, Pose)>,
+    ) -> &mut Self {
+        const MOST_NODES: usize = 100_000;
+        if surface.nodes_mm.len() > MOST_NODES {
+            let nodes = surface.nodes_mm.len();
+            return self.paragraph(&format!(
+                "The mesh has {nodes} nodes, too many to be turned within this page: lumenmesh view shows it."
+            ));
+        }
+        let page = escaped(&embedded_page(name, surface, recording));
+        // Scripts of that page only: they reach neither this page nor a network.
+        self.body += &format!(
+            "<figure class=\"screen\">\n<iframe title=\"{0}\" sandbox=\"allow-scripts allow-downloads\" loading=\"lazy\" \
+             srcdoc=\"{page}\"></iframe>\n<figcaption>{0} to turn, clip, fly through and measure; ? lists the keys.\
+             </figcaption>\n</figure>\n",
+            escaped(name)
+        );
+        self
+    }
+
     pub fn finish(self) -> String {
         let Self { title, body } = self;
         let version = env!("CARGO_PKG_VERSION");
@@ -164,6 +194,7 @@ dt { font-weight: 600; } dd { margin: 0 0 .5rem 1.2rem; max-width: 46rem; }
 figure { margin: 1rem 0; }
 figure svg, figure img { display: block; width: 100%; height: auto; }
 figure img { border: 1px solid #e2e2e2; }
+iframe { display: block; width: 100%; height: 36rem; border: 1px solid #e2e2e2; }
 .pair { display: grid; grid-template-columns: 1fr 1fr; gap: 1.2rem; }
 .pair figure { margin: .6rem 0; }
 pre { background: #f6f6f4; padding: .7rem 1rem; overflow-x: auto; font-size: .85rem; line-height: 1.4; white-space: pre-wrap; }
@@ -172,6 +203,7 @@ footer { color: #55555c; font-size: .85rem; margin: 2.5rem 0 1rem; border-top: 1
   body { margin: 0; max-width: none; font-size: 10pt; }
   th, td { padding-right: .6rem; }
   figure, .block, pre { break-inside: avoid; }
+  .screen { display: none; }
   h2 { break-after: avoid; }
 }
 ";
@@ -183,6 +215,8 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recording::Frame;
+    use glam::{DVec2, DVec3};
 
     #[test]
     fn what_is_typed_is_no_markup() {
@@ -191,6 +225,33 @@ mod tests {
         let html = page.finish();
         assert!(html.contains("<title>a &lt;b&gt; &amp; c</title>"));
         assert!(html.contains("<p>1 &lt; 2</p>") && html.contains("<pre>&quot;x&quot;</pre>"));
+    }
+
+    #[test]
+    fn a_vessel_within_a_page_is_one_attribute() {
+        let mut surface = Surface {
+            nodes_mm: vec![DVec3::ZERO, DVec3::X, DVec3::Y],
+            triangles: vec![[0, 1, 2]],
+            arrays: Vec::new(),
+        };
+        let frame =
+            Frame::new(Pose { translation_mm: DVec3::splat(1.0 / 3.0), ..Pose::IDENTITY }, vec![DVec2::X]);
+        let recording = Recording { frames: vec![frame] };
+        let html = |surface: &Surface| {
+            let mut page = Page::new("report");
+            page.viewer("a \"vessel\"", surface, Some((&recording, Pose::IDENTITY)));
+            page.finish()
+        };
+        let page = html(&surface);
+        let inner = page.split(" srcdoc=\"").nth(1).unwrap().split_once('"').unwrap().0;
+        assert!(inner.starts_with("&lt;!DOCTYPE html&gt;") && inner.ends_with("&lt;/html&gt;\n"));
+        assert!(
+            inner.contains("0.3333]") && !inner.contains("0.33333") && !inner.contains("contour_mm&quot;:")
+        );
+        assert!(page.contains("sandbox=\"allow-scripts allow-downloads\"") && page.len() < 200_000);
+        surface.nodes_mm.resize(100_001, DVec3::ZERO);
+        let page = html(&surface);
+        assert!(page.contains("100001 nodes, too many") && !page.contains("<iframe"));
     }
 
     #[test]

@@ -41,7 +41,8 @@ impl<'a> PageContent<'a> {
 }
 
 /// One reconstruction as a self-contained HTML page: summary, error distribution, the vessel in colours from three
-/// sides, areas and diameters with lesions, coverage, noise, settings and how to reproduce it; of cylinders convergence too.
+/// sides and to turn, areas and diameters with lesions, coverage, noise, settings and how to reproduce it; of cylinders
+/// convergence too.
 ///
 /// # Errors
 /// Where a figure has nothing to show or settings have no TOML form.
@@ -95,6 +96,9 @@ pub fn html(content: &PageContent) -> Result<String> {
         None => "The vessel from three sides.",
     };
     page.mesh(&mesh, &style, caption)?;
+    let shown = content.lumen.settings().conventions.apply(content.recording);
+    let sensor_from_probe = content.lumen.settings().calibration.sensor_from_probe();
+    page.viewer("The vessel", &mesh, Some((&*shown, sensor_from_probe)));
 
     anatomy::sections(&mut page, &mesh, VesselTree::of_lumen(lumen, &mesh))?;
     if let Some(reconstruction) = lumen.cylinders() {

@@ -13,6 +13,8 @@ pub use topology::Topology;
 pub(crate) use formats::vtp::PolyData;
 
 use crate::{Error, Result, output};
+#[cfg(feature = "mcap")]
+use formats::mcap;
 use formats::{mat, obj, ply, stl, vtk, vtp};
 use glam::DVec3;
 use std::path::Path;
@@ -108,9 +110,10 @@ impl Surface {
         Ok((surface, space))
     }
 
-    /// Writes a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`, `.mat` (MATLAB: `vertices`, `faces` counted
-    /// from 1, and the arrays). VTP, PLY and MAT-files carry the arrays, all but STL (single precision, triangles only) keep
-    /// positions to the last bit. The file says that it is in [`Space::Ras`].
+    /// Writes a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`, `.mat` (MATLAB: `vertices`,
+    /// `faces` counted from 1, and the arrays). VTP, PLY and MAT-files carry the arrays, all but STL (single
+    /// precision, triangles only) keep positions to the last bit. The file says that it is in [`Space::Ras`].
+    /// With the feature `mcap` also `.mcap`, a scene for Foxglove, in metres and without arrays.
     ///
     /// # Errors
     /// [`Error::UnknownEnding`]; [`Error::Surface`] where there are no triangles or [`check`](Self::check) finds fault;
@@ -130,6 +133,8 @@ impl Surface {
             "stl" => stl::write,
             "obj" => obj::write,
             "mat" => mat::write,
+            #[cfg(feature = "mcap")]
+            "mcap" => mcap::write,
             ending => return Err(unknown_ending(path, ending, ENDINGS)),
         };
         self.check()?;
@@ -216,6 +221,7 @@ pub(crate) fn read_polylines(path: &Path) -> Result<Vec<Vec<DVec3>>> {
 pub fn check_ending(path: &Path) -> Result<()> {
     match output::ending(path).as_str() {
         "vtp" | "ply" | "stl" | "obj" | "mat" => Ok(()),
+        "mcap" if cfg!(feature = "mcap") => Ok(()),
         ending => Err(unknown_ending(path, ending, ENDINGS)),
     }
 }

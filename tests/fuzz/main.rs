@@ -10,6 +10,7 @@
 mod frames;
 mod meshes;
 mod mutate;
+mod openigtlink;
 mod recordings;
 mod settings;
 mod snapshots;

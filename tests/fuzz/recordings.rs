@@ -390,3 +390,87 @@ fn markups() {
         fuzz(&[seed.to_vec()], &tokens, |bytes| Curves::read(&[file.holding(bytes).to_owned()]).is_ok());
     assert!(0 < accepted && accepted < inputs(), "{accepted} accepted");
 }
+
+const JSON_TOKENS: [&[u8]; 16] = [
+    b"null",
+    b"NaN",
+    b"1e308",
+    b"-1e999",
+    b"18446744073709551616",
+    b"[[",
+    b"]]",
+    b"{}",
+    b"\"pose\":",
+    b"\"contour\":",
+    b"\"time_s\":",
+    b"\"frame\":",
+    b"\"cylinder\":",
+    b"\n",
+    b"\\ud800",
+    b"\xff",
+];
+
+#[test]
+fn frames_as_json() {
+    let file = File::new("rec.ndjson");
+    let path = file.holding(b"").to_owned();
+    recording().write(&path).unwrap();
+    let seeds = [std::fs::read(path).unwrap()];
+    assert!(seeds.iter().all(|seed| reads(file.holding(seed))));
+    let accepted = fuzz(&seeds, &JSON_TOKENS, |bytes| reads(file.holding(bytes)));
+    assert!(0 < accepted && accepted < inputs(), "{accepted} accepted");
+}
+
+/// Poses in JSON, protobuf and CDR, and contours, in no chunks and without checksums.
+#[cfg(feature = "mcap")]
+fn mcap_files() -> Vec<Vec<u8>> {
+    use mcap::records::MessageHeader;
+    let json = br#"{"timestamp": {"sec": 1, "nsec": 5}, "parent_frame_id": "T", "child_frame_id": "P",
+        "translation": {"x": 1, "y": 2, "z": 3}, "rotation": {"x": 0, "y": 0, "z": 0, "w": 1}}"#;
+    let one = 1.0_f64.to_le_bytes();
+    let cdr = [&[0, 1, 0, 0, 1, 0, 0, 0, 5, 0, 0, 0, 2, 0, 0, 0, b'T', 0, 0, 0][..], &one.repeat(7)];
+    let protobuf = [&[10, 4, 8, 1, 16, 5, 18, 1, b'T', 26, 1, b'P', 34, 9, 9][..], &one, &[42, 9, 33], &one];
+    let file = |schema: &str, encoding: &str, message: &[u8]| {
+        let mut file = std::io::Cursor::new(Vec::new());
+        let options = mcap::WriteOptions::new().use_chunks(false).calculate_data_section_crc(false);
+        let mut writer = options.create(&mut file).unwrap();
+        let mut add = |schema: &str, encoding: &str, message: &[u8]| {
+            let id = writer.add_schema(schema, "jsonschema", b"{}").unwrap();
+            let id = writer.add_channel(id, encoding, encoding, &Default::default()).unwrap();
+            for k in 0..3 {
+                let header =
+                    MessageHeader { channel_id: id, sequence: k, log_time: 1_000_000_005, publish_time: 0 };
+                writer.write_to_known_channel(&header, message).unwrap();
+            }
+        };
+        add(schema, encoding, message);
+        add(
+            "lumenmesh.Frame",
+            "json",
+            br#"{"timestamp": {"sec": 1, "nsec": 5}, "contour": [[1, 2], null, [3, 1]]}"#,
+        );
+        writer.finish().unwrap();
+        drop(writer);
+        file.into_inner()
+    };
+    vec![
+        file("foxglove.FrameTransform", "json", json),
+        file("foxglove.FrameTransform", "protobuf", &protobuf.concat()),
+        file("geometry_msgs/msg/PoseStamped", "cdr", &cdr.concat()),
+    ]
+}
+
+#[cfg(feature = "mcap")]
+#[test]
+fn mcap_files_of_poses() {
+    let file = File::new("rec.mcap");
+    let seeds = mcap_files();
+    for seed in &seeds {
+        let read = Recording::read_unchecked(file.holding(seed)).unwrap();
+        assert_eq!(read.frames.len(), 3);
+        assert!(read.frames.iter().all(|frame| frame.world_from_sensor.is_finite()));
+    }
+    let accepts = |bytes: &[u8]| Recording::read_unchecked(file.holding(bytes)).is_ok();
+    let accepted = fuzz(&seeds, &JSON_TOKENS, accepts);
+    assert!(0 < accepted && accepted < inputs(), "{accepted} accepted");
+}

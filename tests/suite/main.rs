@@ -25,10 +25,17 @@ mod golden;
 mod import;
 mod layers;
 mod live;
+#[cfg(all(feature = "cli", unix))]
+mod live_command;
 #[cfg(feature = "cli")]
 mod matlab;
+#[cfg(all(feature = "cli", feature = "mcap"))]
+mod mcap;
 mod mesh_files;
 mod method;
+#[cfg(feature = "cli")]
+mod ndjson;
+mod openigtlink;
 #[cfg(all(feature = "cli", unix))]
 mod outputs;
 #[cfg(feature = "cli")]

@@ -2,6 +2,9 @@
 
 pub(super) mod csv;
 pub(super) mod mat;
+#[cfg(feature = "mcap")]
+pub(super) mod mcap;
+pub(super) mod ndjson;
 mod status;
 mod table;
 mod units;

@@ -43,19 +43,27 @@ pub(super) enum Encoding {
 
 /// The numbers of pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum PixelType {
+pub enum PixelType {
+    /// 8 bits.
     U8,
+    /// 8 bits, signed.
     I8,
+    /// 16 bits.
     U16,
+    /// 16 bits, signed.
     I16,
+    /// 32 bits.
     U32,
+    /// 32 bits, signed.
     I32,
+    /// Single precision.
     F32,
+    /// Double precision.
     F64,
 }
 
 impl PixelType {
-    pub fn of_meta_image(name: &str) -> Option<Self> {
+    pub(super) fn of_meta_image(name: &str) -> Option<Self> {
         Some(match name {
             "MET_UCHAR" => Self::U8,
             "MET_CHAR" => Self::I8,
@@ -69,7 +77,7 @@ impl PixelType {
         })
     }
 
-    pub fn of_nrrd(name: &str) -> Option<Self> {
+    pub(super) fn of_nrrd(name: &str) -> Option<Self> {
         Some(match name.to_lowercase().as_str() {
             "uchar" | "unsigned char" | "uint8" | "uint8_t" => Self::U8,
             "signed char" | "int8" | "int8_t" => Self::I8,
@@ -83,6 +91,7 @@ impl PixelType {
         })
     }
 
+    /// Bytes of a number.
     pub fn bytes(self) -> usize {
         match self {
             Self::U8 | Self::I8 => 1,
@@ -92,8 +101,13 @@ impl PixelType {
         }
     }
 
+    /// The numbers that these bytes hold, in f32; bytes at the end that are none are left out.
+    pub fn numbers(self, bytes: &[u8], big_endian: bool) -> Vec<f32> {
+        bytes.chunks_exact(self.bytes()).map(|bytes| self.number(bytes, big_endian)).collect()
+    }
+
     /// The number in so many bytes as [`bytes`](Self::bytes) says, in f32.
-    pub fn number(self, bytes: &[u8], big_endian: bool) -> f32 {
+    fn number(self, bytes: &[u8], big_endian: bool) -> f32 {
         let mut b = [0_u8; 8];
         let size = bytes.len().min(8);
         b[..size].copy_from_slice(&bytes[..size]);

@@ -12,7 +12,7 @@ mod transforms;
 mod write;
 
 pub use contents::{SequenceContents, SequenceImages, TransformContents};
-pub use image::Image;
+pub use image::{Image, PixelType};
 pub(super) use write::write;
 
 use super::formats::csv;

@@ -851,6 +851,8 @@ window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", rea
 function begin(json) {
   const next = new Vessel(json),
     nextFrames = new Frames();
+  // What an empty vessel had to offer was nobody's choice.
+  if (!vessel.count) quantity = "";
   for (const frame of json.frames ?? []) nextFrames.add(frame, next);
   // The eye stays where it was in the world.
   eye.target = plus(eye.target, minus(vessel.origin ?? [0, 0, 0], next.origin ?? [0, 0, 0]));

@@ -5,6 +5,8 @@
 
 mod cells;
 pub(super) mod mat;
+#[cfg(feature = "mcap")]
+pub(super) mod mcap;
 mod number;
 pub(super) mod obj;
 pub(super) mod ply;
