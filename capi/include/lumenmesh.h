@@ -171,7 +171,7 @@ extern "C" {
 uint32_t lumenmesh_abi_version(void);
 
 /**
- * The library's version, such as "0.1.0".
+ * The library's version, such as "0.2.0".
  */
 const char *lumenmesh_version(void);
 

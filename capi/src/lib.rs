@@ -27,7 +27,7 @@ pub extern "C" fn lumenmesh_abi_version() -> u32 {
     LUMENMESH_ABI_VERSION
 }
 
-/// The library's version, such as "0.1.0".
+/// The library's version, such as "0.2.0".
 #[unsafe(no_mangle)]
 pub extern "C" fn lumenmesh_version() -> *const c_char {
     concat!(env!("CARGO_PKG_VERSION"), "\0").as_ptr().cast()

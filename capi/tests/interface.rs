@@ -295,7 +295,7 @@ fn a_cmake_project_and_pkg_config_find_the_library() {
     }
     let folder = tempfile::tempdir().unwrap();
     let project = format!(
-        "cmake_minimum_required(VERSION 3.16)\nproject(host C CXX)\nfind_package(lumenmesh 0.1 REQUIRED)\n\
+        "cmake_minimum_required(VERSION 3.16)\nproject(host C CXX)\nfind_package(lumenmesh 0.2 REQUIRED)\n\
          find_package(lumenmesh 9.0 QUIET)\nif(lumenmesh_FOUND)\nmessage(FATAL_ERROR \"any version will do\")\nendif()\n\
          add_executable(host {}/examples/live.cpp)\ntarget_link_libraries(host lumenmesh::lumenmesh)\n",
         ROOT
