@@ -153,8 +153,8 @@ impl fmt::Display for FrameCounts {
 /// - Frames leave in the order of their times. A contour that comes after the frame of a later one was made
 ///   is left out, and so is one of a time that was there already; of two poses with one time the first
 ///   counts.
-/// - Where times go back by more than 10 s, or poses on, they are of another clock: what was remembered is
-///   forgotten.
+/// - A time that lies more than 10 s before the one that came before it is of another clock: what was
+///   remembered is forgotten. Poses from before a gap of more than 10 s are forgotten too.
 /// - A contour without a time has the pose that came last, and the frame no time.
 /// - A text is a frame by itself and leaves at once, with its own time.
 ///
@@ -215,9 +215,12 @@ impl FrameAssembler {
     /// [`Error::Recording`] where the message should have a pose, a contour or a frame and has none that can
     /// be used. It is then left out, and the next can be taken.
     pub fn push(&mut self, message: &Message) -> Result<Vec<Frame>> {
+        /// Bytes of what a message says, in an error.
+        const LONGEST: usize = 400;
         let named = |error: Error| match error {
             Error::Recording { field, found, expected } => {
-                Error::Recording { field, found: format!("{found}, from {:?}", message.device), expected }
+                let found = format!("{}, from {:?}", cut(&found, LONGEST), message.device);
+                Error::Recording { field, found, expected }
             }
             other => other,
         };
@@ -626,7 +629,7 @@ mod tests {
 
     #[test]
     fn a_tool_of_tracking_data_is_found_by_its_name_and_has_its_own_status() {
-        let options = AssemblerOptions::default().with_pose_device("ProbeToTrackerReference".into());
+        let options = AssemblerOptions::default().with_pose_device("CatheterProbeToTracker".into());
         let mut assembler = FrameAssembler::new(options).unwrap();
         let tool = |name: &str, x: f32| Tool {
             name: name.into(),
@@ -634,11 +637,11 @@ mod tests {
             matrix: [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
         };
         // A tool's name has 20 bytes.
-        let tools = Content::Tracking(vec![tool("StylusToTracker", 8.0), tool("ProbeToTrackerRefere", 1.0)]);
+        let tools = Content::Tracking(vec![tool("StylusToTracker", 8.0), tool("CatheterProbeToTrack", 1.0)]);
         let message = Message::new("Tracker", at(0.0), tools);
         let not_ok = Message { time: at(0.125), ..message.clone() }
             .with_metadata("StylusToTrackerStatus", "OK")
-            .with_metadata("ProbeToTrackerRefereStatus", "MISSING");
+            .with_metadata("CatheterProbeToTrackStatus", "MISSING");
         let other = Message::new("Other", at(0.25), Content::Tracking(vec![tool("StylusToTracker", 8.0)]));
         let messages = [message, contour(0.0), not_ok, contour(0.125), other];
         assert_frames(&frames_of(&mut assembler, &messages), &[(0.0, 1.0), (0.125, f64::NAN)]);

@@ -11,6 +11,8 @@ pub const HEADER_BYTES: usize = 58;
 /// The largest body that is read, bytes: an image of 8192 × 8192 pixels. A message that is read takes at most
 /// eight times its bytes in memory.
 pub const MAX_BODY_BYTES: u64 = 1 << 26;
+/// Bytes of a device's name in the metadata, at most; of longer ones the beginning is taken.
+const MAX_DEVICE_BYTES: usize = 256;
 /// Bytes of a device's name in a header.
 pub(super) const DEVICE_BYTES: usize = 20;
 
@@ -112,7 +114,8 @@ impl Header {
             _ => extended(body)?,
         };
         let whole_name = metadata.iter().position(|(key, _)| key == DEVICE_NAME);
-        let device = whole_name.map_or_else(|| self.device.clone(), |k| metadata.remove(k).1);
+        let device = whole_name
+            .map_or_else(|| self.device.clone(), |k| cut(&metadata.remove(k).1, MAX_DEVICE_BYTES).to_owned());
         let content = Content::decode(&self.kind, content)?;
         Ok(Message { version: self.version, device, time: self.time, metadata, content })
     }

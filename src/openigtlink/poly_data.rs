@@ -1,7 +1,7 @@
 //! `POLYDATA`: points, cells and values at the points.
 
 use super::strips::strips;
-use super::wire::{Reader, refused, text};
+use super::wire::{Reader, cut, refused, text};
 use crate::Result;
 use crate::surface::Surface;
 
@@ -125,7 +125,7 @@ impl PolyData {
             }
             let name = text(name);
             if count as usize != points {
-                let found = format!("{count} values of {name:?}");
+                let found = format!("{count} values of {:?}", cut(&name, 64));
                 return Err(refused("POLYDATA", found, format!("{points}, one for each point")));
             }
             let values = values.as_chunks().0.iter().map(|&b| f32::from_be_bytes(b)).collect();

@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Bytes of messages that wait. A connection that brings more is not read until there is room.
+/// Bytes of messages that wait, at most. A connection that brings more is not read until there is room.
 const MAX_WAITING_BYTES: usize = 1 << 27;
 
 /// What came in.
@@ -23,22 +23,24 @@ pub(super) enum Incoming {
 impl Incoming {
     /// Bytes in memory, roughly.
     fn bytes(&self) -> usize {
-        let content = match self {
-            Incoming::Fault(_) => 0,
-            Incoming::Message(message) => match &message.content {
-                Content::Tracking(tools) => tools.len() * 96,
-                Content::Image(image) => image.pixels.len(),
-                Content::Points(points) => points.len() * 12,
-                Content::PolyData(data) => {
-                    let cells = data.lines.iter().chain(&data.polygons).chain(&data.strips);
-                    data.points_mm.len() * 12 * (1 + data.scalars.len())
-                        + cells.map(|cell| 24 + 4 * cell.len()).sum::<usize>()
-                }
-                Content::Text(text) => text.len(),
-                _ => 0,
-            },
+        /// Of one without a content.
+        const LEAST: usize = 256;
+        let Incoming::Message(Message { metadata, content, .. }) = self else { return LEAST };
+        let metadata = metadata.iter().map(|(key, value)| 48 + key.len() + value.len()).sum::<usize>();
+        let content = match content {
+            Content::Tracking(tools) => tools.len() * 96,
+            Content::Image(image) => image.pixels.len(),
+            Content::Points(points) => points.len() * 12,
+            Content::PolyData(data) => {
+                let cells = data.lines.iter().chain(&data.polygons).chain(&data.strips);
+                data.points_mm.len() * 12 * (1 + data.scalars.len())
+                    + cells.map(|cell| 24 + 4 * cell.len()).sum::<usize>()
+            }
+            Content::Text(text) => text.len(),
+            Content::Status(status) => status.message.len(),
+            Content::Transform(_) | Content::StartTracking(_) | Content::GetStatus => 0,
         };
-        content + 256
+        LEAST + metadata + content
     }
 }
 

@@ -291,7 +291,7 @@ for version in (1, 2):
                     pyigtl.PointMessage(square, names=["a", "b", "c"], device_name="Points", timestamp=0),
                     pyigtl.PolyDataMessage(points=square, lines=np.array([3, 0, 1, 2]), device_name="Line", timestamp=0),
                     pyigtl.PolyDataMessage(points=square, vertices=np.array([1, 0, 1, 1]), device_name="Dots", timestamp=0),
-                    pyigtl.ImageMessage(np.arange(12, dtype=np.uint16).reshape(3, 4), device_name="Image", timestamp=0)):
+                    pyigtl.ImageMessage(np.array(range(12), dtype=np.uint16).reshape(3, 4), device_name="Image", timestamp=0)):
         message.header_version = version
         if version == 2:
             message.metadata = {"TransformStatus": "OK"}
