@@ -18,4 +18,5 @@ pub use page::Table;
 pub use reconstruction::{PageContent, html};
 pub use study::study_plot;
 pub use viewer::viewer_page;
+#[cfg(feature = "cli")]
 pub(crate) use viewer::{contour_of, floats, frame_of, live_page, vessel_of_mesh};

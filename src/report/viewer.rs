@@ -59,6 +59,7 @@ pub(super) fn embedded_page(title: &str, surface: &Surface, recording: Option<(&
 }
 
 /// The page of a vessel that a server will send.
+#[cfg(feature = "cli")]
 pub(crate) fn live_page() -> String {
     page_with("")
 }
