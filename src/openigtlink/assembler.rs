@@ -406,8 +406,11 @@ impl FrameAssembler {
         let mask = &self.options.mask;
         let threshold = mask.threshold.unwrap_or(self.largest_pixel / 2.0);
         // Where no pixel was above 0 yet, 0 is no lumen.
-        let threshold =
-            if threshold > 0.0 || mask.threshold.is_some() { threshold } else { f64::MIN_POSITIVE };
+        let threshold = if threshold > 0.0 || mask.threshold.is_some() {
+            threshold
+        } else {
+            f64::from(f32::MIN_POSITIVE)
+        };
         let found = mask.contour_of(&image, threshold, &probe_from_image)?;
         let probe_from_plane = Some(found.probe_from_plane).filter(|pose| *pose != Pose::IDENTITY);
         Ok(Contour { points_mm: found.contour_mm, probe_from_plane })

@@ -34,7 +34,7 @@ pub(super) fn sections(page: &mut Page, surface: &Surface, tree: Result<VesselTr
         let profile = Profile::of(&found, &LesionRules::default())?;
         let name = if tree.axes.len() > 1 { format!("Branch {branch}: ") } else { String::new() };
         if profile.at_mm.is_empty() {
-            page.paragraph(&format!("{name}no plane across the axis has a closed outline of the lumen."));
+            page.paragraph(&titled(&name, "no plane across the axis has a closed outline of the lumen."));
             continue;
         }
         of_branch(page, &name, &found, &profile)?;
@@ -73,19 +73,19 @@ fn of_branch(page: &mut Page, name: &str, found: &[LumenSection], profile: &Prof
         }
     }
     let diameters = lines(Room::Whole, "along the axis (mm)", "circular-equivalent diameter (mm)", &shown)?;
-    page.plot(&diameters, &format!("{name}diameter along the axis, with what it would be without lesions."));
+    page.plot(&diameters, &titled(name, "diameter along the axis, with what it would be without lesions."));
     let areas = profile.diameter_mm.iter().map(|d| std::f64::consts::PI * d * d / 4.0).collect::<Vec<_>>();
     let areas = lines(Room::Half, "along the axis (mm)", "area (mm²)", &[line("area", &areas, Mark::Line)])?;
     let measured: Vec<[f64; 2]> =
         found.iter().filter_map(|section| Some([section.at_mm?, 100.0 * section.measured_share?])).collect();
     if measured.is_empty() {
-        page.plot(&areas, &format!("{name}cross-sectional area along the axis."));
+        page.plot(&areas, &titled(name, "cross-sectional area along the axis."));
     } else {
         let measured = Line { name: "measured".into(), points: measured, mark: Mark::Line };
         let measured = lines(Room::Half, "along the axis (mm)", "outline measured (%)", &[measured])?;
         page.plots([
-            (&areas, &format!("{name}cross-sectional area along the axis.")),
-            (&measured, &format!("{name}share of each outline that echoes support.")),
+            (&areas, &titled(name, "cross-sectional area along the axis.")),
+            (&measured, &titled(name, "share of each outline that echoes support.")),
         ]);
     }
     let mut rows = Vec::new();
@@ -96,15 +96,23 @@ fn of_branch(page: &mut Page, name: &str, found: &[LumenSection], profile: &Prof
     let (planes, closed) = (found.len() as u64, profile.at_mm.len() as u64);
     rows.push((
         "planes with a closed outline of the lumen",
-        format!("{closed} of {planes} ({})", share(closed, planes)),
+        format!("{} of {planes}", share(closed, planes)),
     ));
     page.table(&facts(rows));
     if profile.lesions.is_empty() {
-        page.paragraph(&format!("{name}no stenosis and no aneurysm was found by the rules below."));
+        page.paragraph(&titled(name, "no stenosis and no aneurysm was found by the rules below."));
         return Ok(());
     }
     page.table(&lesions_table(name, &profile.lesions));
     Ok(())
+}
+
+/// A sentence about a branch, or about the only one.
+fn titled(branch: &str, text: &str) -> String {
+    match branch {
+        "" => text[..1].to_uppercase() + &text[1..],
+        branch => format!("{branch}{text}"),
+    }
 }
 
 fn interval(of: Interval, decimals: usize) -> String {
@@ -135,7 +143,7 @@ fn lesions_table(name: &str, lesions: &[Lesion]) -> Table {
     let remarks =
         lesions.iter().filter_map(|l| Some(format!("At {:.1} mm: {}.", l.at_mm, l.remark.as_ref()?)));
     Table {
-        title: format!("{name}{}", if name.is_empty() { "Lesions" } else { "lesions" }),
+        title: titled(name, "lesions"),
         head: [
             "",
             "at (mm)",

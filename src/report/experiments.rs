@@ -98,7 +98,7 @@ pub fn experiments_page(outcome: &Outcome, command: &str) -> Result<String> {
             medians("noiseless", noiseless.cylinder_spread.iter().map(|s| s.median_mm).collect()),
             medians("noisy", noisy.cylinder_spread.iter().map(|s| s.median_mm).collect()),
             medians(
-                "noisy, never bent",
+                "never bent",
                 experiments.noisy_steady.cylinder_spread.iter().map(|s| s.median_mm).collect(),
             ),
             medians("thesis, noisy", experiments.thesis.table_4_median_mm.noisy.to_vec()),

@@ -82,7 +82,11 @@ impl Page {
             "" => String::new(),
             title => format!("<caption>{}</caption>\n", escaped(title)),
         };
-        self.body += &format!("<div class=\"block\"><table>\n{caption}{head}{rows}</table>\n");
+        // Sentences in the last column need room.
+        let is_long =
+            |cells: &Vec<String>| cells.last().is_some_and(|cell| cell.contains(". ") || cell.ends_with('.'));
+        let class = if table.rows.iter().any(is_long) { " class=\"why\"" } else { "" };
+        self.body += &format!("<div class=\"block\"><table{class}>\n{caption}{head}{rows}</table>\n");
         if !table.note.is_empty() {
             self.push("p class=\"note\"", &table.note);
         }
@@ -189,6 +193,8 @@ caption { text-align: left; font-weight: 600; padding-bottom: .3rem; }
 th, td { padding: .2rem .9rem .2rem 0; text-align: right; border-bottom: 1px solid #e2e2e2; vertical-align: top; }
 th { font-weight: 600; border-bottom-color: #888; }
 th:first-child, td:first-child { text-align: left; white-space: nowrap; }
+.why th:last-child, .why td:last-child { text-align: left; min-width: 12rem; font-size: .85rem; padding-right: 0; }
+.why th, .why td { padding-right: .6rem; }
 dt { font-weight: 600; } dd { margin: 0 0 .5rem 1.2rem; max-width: 46rem; }
 .note, figcaption { color: #55555c; font-size: .9rem; margin: .3rem 0 1.2rem; }
 figure { margin: 1rem 0; }

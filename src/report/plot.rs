@@ -74,8 +74,10 @@ const COLOURS: [RGBColor; 6] = [
 ];
 /// Lengths of dash and gap, pixels; a gap of 0 is a solid line.
 const DASHES: [[i32; 2]; 4] = [[1, 0], [9, 4], [3, 3], [14, 3]];
-/// Width of a letter in heights of the font, for room in the legend.
-const LETTER: f64 = 0.56;
+/// Of an entry of the legend: length of its line, room beside it, and width of a letter in heights of the font. Where many
+/// entries would not fit, they are narrower.
+const WIDE: (i32, i32, f64) = (34, 30, 0.56);
+const NARROW: (i32, i32, f64) = (24, 18, 0.5);
 const TEXT_PX: i32 = 17;
 const Y_MARKS: usize = 7;
 
@@ -241,27 +243,32 @@ fn axes<'a, 'b>(
 /// The legend above the plot.
 fn legend<'a>(
     root: &Area,
-    lines: impl Iterator<Item = &'a Line>,
+    lines: impl Iterator<Item = &'a Line> + Clone,
     dashes: &dyn Fn(usize) -> [i32; 2],
 ) -> PlotResult {
-    const LENGTH: i32 = 34;
     const Y: i32 = 22;
+    let width = |line: &Line, (length, room, letter): (i32, i32, f64)| {
+        length + room + (line.name.chars().count() as f64 * letter * f64::from(TEXT_PX)) as i32
+    };
     let mut left = LEFT + 8;
+    let whole: i32 = lines.clone().map(|line| width(line, WIDE)).sum();
+    let size = if left + whole <= root.dim_in_pixel().0 as i32 { WIDE } else { NARROW };
+    let (length, ..) = size;
     for (i, line) in lines.enumerate() {
         let [dash, gap] = dashes(i);
-        let dash = if gap == 0 { LENGTH } else { dash };
+        let dash = if gap == 0 { length } else { dash };
         if line.mark != Mark::Dots {
-            for start in (0..LENGTH).step_by((dash + gap) as usize) {
-                let ends = vec![(left + start, Y), (left + (start + dash).min(LENGTH), Y)];
+            for start in (0..length).step_by((dash + gap) as usize) {
+                let ends = vec![(left + start, Y), (left + (start + dash).min(length), Y)];
                 root.draw(&PathElement::new(ends, colour(i).stroke_width(3)))?;
             }
         }
         if line.mark != Mark::Line {
-            root.draw(&Circle::new((left + LENGTH / 2, Y), 4, colour(i).filled()))?;
+            root.draw(&Circle::new((left + length / 2, Y), 4, colour(i).filled()))?;
         }
         let style = text_style(HPos::Left, VPos::Center);
-        root.draw(&Text::new(line.name.clone(), (left + LENGTH + 7, Y), style))?;
-        left += LENGTH + 30 + (line.name.chars().count() as f64 * LETTER * f64::from(TEXT_PX)) as i32;
+        root.draw(&Text::new(line.name.clone(), (left + length + 7, Y), style))?;
+        left += width(line, size);
     }
     Ok(())
 }

@@ -160,8 +160,28 @@ fn every_number_that_the_thesis_prints_is_in_the_json_and_in_the_tables() {
     assert!(!page.contains("not at hand") && page.contains("but for cylinders 102 to 116"));
 }
 
-/// Whether a page loads nothing and runs nothing.
+/// A page without the pages within it, and these as they are written there.
+fn apart(page: &str) -> (String, Vec<&str>) {
+    let mut parts = page.split("srcdoc=\"");
+    let mut outer = parts.next().unwrap_or_default().to_owned();
+    let mut inner = Vec::new();
+    for part in parts {
+        let (within, after) = part.split_once('"').unwrap();
+        inner.push(within);
+        outer += after;
+    }
+    (outer, inner)
+}
+
+/// Whether a page loads nothing and runs nothing, and the pages within it may not reach a network.
 fn is_self_contained(page: &str) -> bool {
+    let (page, inner) = apart(page);
+    let is_confined = |within: &&str| within.contains("default-src 'none'");
+    if !inner.iter().all(is_confined)
+        || page.matches("<iframe").count() != page.matches("sandbox=\"allow-scripts ").count()
+    {
+        return false;
+    }
     let sources = page.matches(" src=\"").count() == page.matches(" src=\"data:image/png;base64,").count();
     let links = page.replace("http://www.w3.org/2000/svg", "").contains("http");
     sources && !links && !page.contains("<script") && !page.contains("<link") && !page.contains("url(")
@@ -172,6 +192,9 @@ fn the_page_of_the_experiments_has_all_tables_and_figures() {
     let page = experiments_page(quick(), "lumenmesh experiments --quick").unwrap();
     assert!(is_self_contained(&page));
     assert!(!is_self_contained("<img src=\"error.png\">"));
+    assert!(!is_self_contained("<iframe sandbox=\"allow-scripts \" srcdoc=\"&lt;script src=x>\"></iframe>"));
+    let (page, inner) = apart(&page);
+    assert_eq!(inner.len(), 2, "the vessel with and without noise, to turn");
     for n in 1..=7 {
         assert!(page.contains(&format!("<caption>Table {n}: ")), "table {n}");
     }

@@ -269,7 +269,7 @@ fn a_file_that_is_no_whole_snapshot_is_told() {
         bytes[at] ^= 4;
         bytes
     };
-    says(&changed(16), "version: found 5, expected 1");
+    says(&changed(16), "version: found 6, expected 2");
     says(&changed(good.len() / 2), "content: found bytes that have changed");
     std::fs::write(&path, &good).unwrap();
     Live::restore(&path).unwrap();
