@@ -30,7 +30,7 @@ fn succeeds(command: &mut Command) -> String {
 }
 
 /// A program that is linked to the installed library. Cargo's own search path, which may lead to an older one, is left out.
-fn program(path: impl AsRef<std::ffi::OsStr>) -> Command {
+fn linked(path: impl AsRef<std::ffi::OsStr>) -> Command {
     let mut command = Command::new(path);
     command.env_remove("LD_LIBRARY_PATH");
     command
@@ -87,7 +87,7 @@ fn program(statements: &str, folder: &Path) -> Output {
     std::fs::write(&source, text).unwrap();
     let to = folder.join("program");
     compiled(&source, &to, "cc", "-std=c99");
-    program(to).current_dir(folder).output().unwrap()
+    linked(to).current_dir(folder).output().unwrap()
 }
 
 fn passes(statements: &str) {
@@ -141,12 +141,12 @@ fn a_recording_gives_the_bytes_of_the_rust_library() {
     let (recording, expected) = simulated(folder.path());
     let batch = example("batch.c", folder.path());
     let mesh = folder.path().join("mesh.vtp");
-    let said = succeeds(program(&batch).arg(&recording).arg(&mesh).arg(folder.path().join("truth.ply")));
+    let said = succeeds(linked(&batch).arg(&recording).arg(&mesh).arg(folder.path().join("truth.ply")));
     assert!(std::fs::read(&mesh).unwrap() == expected);
     let error_mm: f64 =
         said.split("fitting error ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
     assert!(error_mm > 0.0 && error_mm < 0.3, "{said}");
-    let failed = program(&batch).args(["no.mat", "mesh.vtp"]).current_dir(folder.path()).output().unwrap();
+    let failed = linked(&batch).args(["no.mat", "mesh.vtp"]).current_dir(folder.path()).output().unwrap();
     assert!(!failed.status.success());
     let said = String::from_utf8_lossy(&failed.stderr).into_owned();
     assert!(said.starts_with("batch: no.mat: cannot read: "), "{said}");
@@ -160,13 +160,13 @@ fn live_in_c_and_in_cpp_give_the_same_and_run_clean() {
     let folder = tempfile::tempdir().unwrap();
     let [c, cpp] = ["live.c", "live.cpp"].map(|name| example(name, folder.path()));
     let [of_c, of_cpp] = ["c.vtp", "cpp.vtp"].map(|name| folder.path().join(name));
-    let said = succeeds(program(&c).arg(&of_c));
-    assert_eq!(succeeds(program(&cpp).arg(&of_cpp)), said);
+    let said = succeeds(linked(&c).arg(&of_c));
+    assert_eq!(succeeds(linked(&cpp).arg(&of_cpp)), said);
     let bytes = std::fs::read(&of_c).unwrap();
     assert!(bytes.len() > 10_000 && bytes == std::fs::read(&of_cpp).unwrap());
     if has("valgrind") {
         // Memory that a program may still reach at its end, such as thread pools, is no leak.
-        let mut checked = program("valgrind");
+        let mut checked = linked("valgrind");
         checked.args([
             "--quiet",
             "--error-exitcode=9",
@@ -311,7 +311,7 @@ fn a_cmake_project_and_pkg_config_find_the_library() {
     let prefix = format!("-DCMAKE_PREFIX_PATH={}", installed().display());
     succeeds(Command::new("cmake").arg("-S").arg(folder.path()).arg("-B").arg(&build).arg(prefix));
     succeeds(Command::new("cmake").arg("--build").arg(&build));
-    let said = succeeds(program(build.join("host")).arg(folder.path().join("mesh.ply")));
+    let said = succeeds(linked(build.join("host")).arg(folder.path().join("mesh.ply")));
     assert!(said.contains(" drawn in 120 frames"), "{said}");
     if has("pkg-config") {
         let mut asked = Command::new("pkg-config");
@@ -371,7 +371,7 @@ int main(int, char **argv) {
     std::fs::write(&source, text).unwrap();
     let to = folder.path().join("progress");
     compiled(&source, &to, "c++", "-std=c++17");
-    let said = succeeds(program(&to).arg(&recording));
+    let said = succeeds(linked(&to).arg(&recording));
     assert!(said.contains("sweep 6\n") && said.contains("cylinders "), "{said}");
 }
 
