@@ -1,9 +1,9 @@
 //! Meshes to simulate flow in: even triangles, flat ends that are prolonged and capped, and numbered faces.
 //!
-//! 1. The largest piece of the vessel is taken ([`openings`]); holes in its wall are filled, or refused.
+//! 1. The largest piece of the vessel is taken (`openings.rs`); holes in its wall are filled, or refused.
 //! 2. Its ends are cut flat, prolonged and capped.
-//! 3. All of it is remeshed, face by face ([`remesh`]).
-//! 4. It is checked: closed, and without crossing triangles ([`crossing`]).
+//! 3. All of it is remeshed, face by face (`remesh.rs`).
+//! 4. It is checked: closed, and without crossing triangles (`crossing.rs`).
 
 mod crossing;
 mod openings;
@@ -229,14 +229,21 @@ impl FlowMesh {
                 share * nodes.iter().map(|&n| radius_mm[n as usize]).sum::<f64>() / 3.0
             }
         };
+        let length_mm = |end: &Opening| match settings.extension {
+            Some(Extension::Millimetres(mm)) => mm,
+            Some(Extension::Diameters(count)) => count * 2.0 * end.radius_mm(),
+            None => 0.0,
+        };
+        let of_wall = (0..wall.triangles.len()).map(|t| {
+            let corners = wall.corners_mm(t);
+            (0.5 * (corners[1] - corners[0]).cross(corners[2] - corners[0]).length(), corners[0])
+        });
+        let of_ends = ends.iter().map(|end| (2.0 * PI * end.radius_mm() * length_mm(end), end.centre_mm));
+        refuse_too_many(of_wall.chain(of_ends).map(|(area, at)| triangles_in(area, edge_mm(at))).sum())?;
         for (end, opening) in flat.into_iter().zip(&ends) {
             let mut last = end;
-            if let Some(extension) = settings.extension {
-                let length_mm = match extension {
-                    Extension::Millimetres(mm) => mm,
-                    Extension::Diameters(count) => count * 2.0 * opening.radius_mm(),
-                };
-                let edge_mm = edge_mm(opening.centre_mm);
+            if settings.extension.is_some() {
+                let (length_mm, edge_mm) = (length_mm(opening), edge_mm(opening.centre_mm));
                 last =
                     prolong(&mut patches, &last, length_mm, edge_mm, add(&mut kinds, FaceKind::Wall, None));
             }
@@ -403,6 +410,28 @@ impl FlowMesh {
             part.set_array(&array.name, nodes.iter().map(|&n| array.values[n]).collect());
         }
         part
+    }
+}
+
+/// Equilateral triangles that fill an area.
+fn triangles_in(area_mm2: f64, edge_mm: f64) -> f64 {
+    area_mm2 / (0.25 * 3.0_f64.sqrt() * edge_mm * edge_mm)
+}
+
+/// Most triangles of a mesh: far more than solvers are given.
+const MAX_TRIANGLES: f64 = 3e7;
+
+fn refuse_too_many(triangles: f64) -> Result<()> {
+    match triangles <= MAX_TRIANGLES {
+        true => Ok(()),
+        false => Err(Error::setting(
+            "edge",
+            match triangles.is_finite() {
+                true => format!("{:.0} million triangles", triangles / 1e6),
+                false => "no wall opposite to another, whose distance would be the vessel's radius".into(),
+            },
+            format!("a length with which the vessel has at most {:.0} million", MAX_TRIANGLES / 1e6),
+        )),
     }
 }
 

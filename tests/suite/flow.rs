@@ -193,6 +193,9 @@ fn vessels_that_make_no_mesh_are_refused_with_the_place() {
     ] {
         assert!(refusal(&good, &settings).contains(&format!("setting {name}: ")));
     }
+    // More triangles than a machine holds are refused before they are made.
+    let said = refusal(&good, &capped().with_edge(EdgeLength::Uniform(0.001)));
+    assert!(said.contains("million triangles") && said.contains("at most 30 million"), "{said}");
     let none = Surface { triangles: Vec::new(), ..good };
     assert!(refusal(&none, &capped()).contains("triangles"));
 }
