@@ -45,7 +45,7 @@ done
 if [ -z "${LUMENMESH_PYTHON:-}" ]; then
   venv=target/python
   if ! "$venv/bin/python" -c 'import numpy, scipy, vtk, SimpleITK, nrrd, trimesh, pymeshlab, pyigtl, mcap' 2>/dev/null; then
-    apt_install libgl1 libxrender1 || true
+    apt_install libgl1 libopengl0 libfontconfig1 libxrender1 || true
     { python3 -m venv "$venv" && "$venv/bin/pip" install -q --disable-pip-version-check numpy scipy vtk SimpleITK pynrrd trimesh pymeshlab pyigtl mcap; } ||
       echo "no Python with VTK, SimpleITK, pynrrd, trimesh, PyMeshLab, pyigtl and mcap: its tests will be skipped"
   fi
