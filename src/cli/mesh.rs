@@ -82,7 +82,7 @@ fn extension(text: &str) -> std::result::Result<Extension, String> {
     }
 }
 
-/// What `--json` prints, and, but for the paths, what the `.faces.json` file has.
+/// What `--json` prints, and what the `.faces.json` file has.
 #[derive(Serialize)]
 struct Output<'a> {
     vessel: Shown<'a>,
@@ -122,6 +122,16 @@ impl Arguments {
         let vessel = Surface::read(&self.vessel)?;
         let mesh = FlowMesh::of(&vessel, &settings).map_err(|e| e.in_file(&self.vessel))?;
         let mm = self.units.mm();
+        let faces_path = beside(&self.output, ".faces.json");
+        let parts: Vec<(u32, PathBuf)> = mesh
+            .faces
+            .iter()
+            .filter(|_| self.stl_per_face)
+            .map(|face| (face.id, beside(&self.output, &format!("_{}.stl", face.name))))
+            .collect();
+        let beside_it: Vec<&Path> =
+            [&*faces_path].into_iter().chain(parts.iter().map(|(_, path)| &**path)).collect();
+        refuse_inputs(beside_it.iter().map(|path| Some(*path)), [Some(&*self.vessel)])?;
         mesh.write(&self.output, self.space.name(), mm)?;
         let topology = mesh.surface.topology();
         let shown = Output {
@@ -139,24 +149,18 @@ impl Arguments {
             closed_holes: mesh.closed_holes,
             left_out_mm2: &mesh.left_out_mm2,
         };
-        let faces_path = beside(&self.output, ".faces.json");
         let text = serde_json::to_string_pretty(&shown).map_err(std::io::Error::from);
         let text = text.map_err(|source| Error::Output { target: "the faces", source })?;
         output::write_atomically(&faces_path, |w| writeln!(w, "{text}"))?;
-        let mut written = vec![faces_path];
-        if self.stl_per_face {
-            for face in &mesh.faces {
-                let path = beside(&self.output, &format!("_{}.stl", face.name));
-                mesh.face(face.id, mm).write_in(&path, self.space.name())?;
-                written.push(path);
-            }
+        for (id, path) in &parts {
+            mesh.face(*id, mm).write_in(path, self.space.name())?;
         }
         if self.json {
             return print_json(&shown);
         }
         shown.print();
         println!("mesh       {}", self.output.display());
-        written.iter().for_each(|path| println!("           {}", path.display()));
+        beside_it.iter().for_each(|path| println!("           {}", path.display()));
         Ok(())
     }
 }

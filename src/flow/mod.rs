@@ -234,10 +234,8 @@ impl FlowMesh {
             Some(Extension::Diameters(count)) => count * 2.0 * end.radius_mm(),
             None => 0.0,
         };
-        let of_wall = (0..wall.triangles.len()).map(|t| {
-            let corners = wall.corners_mm(t);
-            (0.5 * (corners[1] - corners[0]).cross(corners[2] - corners[0]).length(), corners[0])
-        });
+        let areas = wall.triangle_areas_mm2().into_iter().enumerate();
+        let of_wall = areas.map(|(t, area_mm2)| (area_mm2, wall.corners_mm(t)[0]));
         let of_ends = ends.iter().map(|end| (2.0 * PI * end.radius_mm() * length_mm(end), end.centre_mm));
         refuse_too_many(of_wall.chain(of_ends).map(|(area, at)| triangles_in(area, edge_mm(at))).sum())?;
         for (end, opening) in flat.into_iter().zip(&ends) {

@@ -392,6 +392,13 @@ fn the_command_writes_a_mesh_its_faces_and_their_names() {
         let (status, said, errors) = run(&all);
         assert!(status != 0 && said.is_empty() && errors.contains(words), "{errors}");
     }
+    // Nor is the vessel overwritten by the file of a face.
+    let wall = folder.path().join("new_wall.stl");
+    std::fs::copy(folder.path().join("vessel.stl"), &wall).unwrap();
+    let before = std::fs::read(&wall).unwrap();
+    let (status, _, errors) = run(&["mesh", "new_wall.stl", "-o", "new.vtp", "--stl-per-face"]);
+    assert!(status == 1 && errors.contains("new_wall.stl"), "{errors}");
+    assert!(std::fs::read(&wall).unwrap() == before && !folder.path().join("new.vtp").exists());
     let (status, _, errors) = run(&["mesh", "vessel.stl", "-o", "no.gmsh"]);
     assert!(status == 1 && errors.contains("unknown ending"), "{errors}");
     assert!(!folder.path().join("no.vtp").exists() && !folder.path().join("no.faces.json").exists());
