@@ -56,6 +56,7 @@
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
 pub mod anatomy;
+pub mod branching;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod cylinders;

@@ -4,12 +4,11 @@
 //! [`DEFINITIONS`], which the command prints in its help and its JSON.
 
 mod coverage;
-mod locator;
 mod region;
 mod volume;
 
 pub use coverage::Coverage;
-pub use locator::{Closest, Locator};
+pub use crate::surface::{Closest, Locator};
 pub use region::Region;
 pub use volume::{Volumes, closed_volume_mm3};
 

@@ -2,12 +2,11 @@
 //!
 //! 1. The largest piece of the vessel is taken (`openings.rs`); holes in its wall are filled, or refused.
 //! 2. Its ends are cut flat, prolonged and capped.
-//! 3. All of it is remeshed, face by face (`remesh.rs`).
+//! 3. All of it is remeshed, face by face (`surface::remesh`).
 //! 4. It is checked: closed, and without crossing triangles (`crossing.rs`).
 
 mod crossing;
 mod openings;
-mod remesh;
 
 use crate::evaluate::Locator;
 use crate::numerics::robust::median;
@@ -16,7 +15,7 @@ use crate::surface::{PolyData, Space, Surface};
 use crate::{Error, Result, output};
 use glam::DVec3;
 use openings::{FlatEnd, Opening, Piece, Stub, cap, cut_flat, fill, place, prolong};
-use remesh::{Patches, remeshed, smallest_angle_rad};
+use crate::surface::remesh::{Patches, remeshed, smallest_angle_rad};
 use serde::Serialize;
 use std::f64::consts::PI;
 use std::path::Path;

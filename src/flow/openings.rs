@@ -1,6 +1,6 @@
 //! Openings of a vessel: ends that are cut flat, prolonged and capped, and holes in its wall.
 
-use super::remesh::Patches;
+use crate::surface::remesh::Patches;
 use crate::geometry::polygon::triangulate;
 use crate::surface::{Groups, Surface};
 use crate::{Error, Result};

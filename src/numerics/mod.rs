@@ -3,6 +3,7 @@
 mod angle;
 pub(crate) mod banded;
 pub(crate) mod cholesky;
+pub(crate) mod graph;
 pub(crate) mod nonnegative;
 pub(crate) mod robust;
 mod scalar;

@@ -2,10 +2,14 @@
 
 mod cut;
 mod formats;
+mod locator;
+pub(crate) mod marching;
+pub(crate) mod remesh;
 mod space;
 mod topology;
 
 pub use cut::{Cut, Cutter, OnEdge, SectionOutline};
+pub use locator::{Closest, Locator};
 pub use space::Space;
 pub(crate) use topology::Groups;
 pub use topology::Topology;

@@ -117,6 +117,21 @@ impl Surface {
         self
     }
 
+    /// The surface without the nodes that no triangle uses, and with their arrays.
+    #[must_use]
+    pub(crate) fn without_loose_nodes(mut self) -> Self {
+        let mut number = vec![u32::MAX; self.nodes_mm.len()];
+        self.triangles.iter().flatten().for_each(|&n| number[n as usize] = 0);
+        let kept: Vec<usize> = (0..number.len()).filter(|&n| number[n] == 0).collect();
+        kept.iter().zip(0..).for_each(|(&n, new)| number[n] = new);
+        self.triangles.iter_mut().flatten().for_each(|n| *n = number[*n as usize]);
+        self.nodes_mm = kept.iter().map(|&n| self.nodes_mm[n]).collect();
+        for array in &mut self.arrays {
+            array.values = kept.iter().map(|&n| array.values[n]).collect();
+        }
+        self
+    }
+
     /// The triangles whose corners do not lie where those of an earlier one do, in whatever order; ascending.
     pub(crate) fn distinct_triangles(&self) -> Vec<u32> {
         let first = self.first_in_place();

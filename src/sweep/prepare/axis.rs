@@ -23,7 +23,7 @@ pub struct Axis {
 
 /// The coordinates of a point about the axis.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::sweep) struct Place {
+pub(crate) struct Place {
     /// Along the axis, in rings.
     pub ring: f64,
     /// About the axis, rad, 0 to 2π, from x towards y.
@@ -63,7 +63,7 @@ impl Axis {
     }
 
     /// Coordinates of a point; the search starts at ring `near`. `None` before the first and behind the last ring.
-    pub(in crate::sweep) fn place(&self, point_mm: DVec3, near: usize) -> Option<Place> {
+    pub(crate) fn place(&self, point_mm: DVec3, near: usize) -> Option<Place> {
         let ahead = |k: usize| (point_mm - self.points_mm[k]).dot(self.frames[k].z_axis);
         let last = self.rings() - 2;
         let mut k = near.min(last);
@@ -120,14 +120,14 @@ impl Axis {
     }
 
     /// The point at angle `theta_rad` and distance `radius_mm` from ring `ring`'s origin, mm.
-    pub(in crate::sweep) fn point_mm(&self, ring: usize, theta_rad: f64, radius_mm: f64) -> DVec3 {
+    pub(crate) fn point_mm(&self, ring: usize, theta_rad: f64, radius_mm: f64) -> DVec3 {
         let (sin, cos) = theta_rad.sin_cos();
         let frame = &self.frames[ring];
         self.points_mm[ring] + (frame.x_axis * cos + frame.y_axis * sin) * radius_mm
     }
 
     /// As [`Axis::point_mm`], between two rings.
-    pub(in crate::sweep) fn point_between_mm(&self, ring: f64, theta_rad: f64, radius_mm: f64) -> DVec3 {
+    pub(crate) fn point_between_mm(&self, ring: f64, theta_rad: f64, radius_mm: f64) -> DVec3 {
         let below = (ring.max(0.0) as usize).min(self.rings() - 2);
         let point = |ring: usize| self.point_mm(ring, theta_rad, radius_mm);
         point(below).lerp(point(below + 1), ring - below as f64)

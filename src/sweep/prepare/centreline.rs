@@ -6,11 +6,10 @@
 
 use crate::geometry::polyline::{lengths, resampled, station};
 use crate::numerics::banded::Pentadiagonal;
+use crate::numerics::graph::{Places, shortest_paths};
 use crate::numerics::robust::median;
 use crate::{Error, Result};
-use glam::{DVec3, I64Vec3};
-use std::cmp::Ordering;
-use std::collections::{BinaryHeap, HashMap};
+use glam::DVec3;
 
 /// Clusters within this many cluster radii of each other touch.
 const TOUCH: f64 = 1.7;
@@ -85,8 +84,8 @@ fn principal_path(centres: &[DVec3], radius: f64) -> Vec<DVec3> {
     let farthest = |distances: &[f64]| {
         (0..count).fold(0, |best, k| if distances[k] > distances[best] { k } else { best })
     };
-    let one_end = farthest(&shortest_paths(&clusters, &neighbours, 0).0);
-    let (distances, before) = shortest_paths(&clusters, &neighbours, one_end);
+    let one_end = farthest(&shortest_paths(&clusters, &neighbours, &[0]).0);
+    let (distances, before) = shortest_paths(&clusters, &neighbours, &[one_end]);
     let mut path = vec![farthest(&distances)];
     while let Some(previous) = path.last().and_then(|&k| before[k]) {
         path.push(previous);
@@ -121,84 +120,6 @@ fn clusters(centres: &[DVec3], radius: f64) -> (Vec<DVec3>, Vec<usize>) {
         of_centre.push(cluster);
     }
     (sums.into_iter().map(|(sum, n)| sum / n).collect(), of_centre)
-}
-
-/// Points by the cube of space that they lie in, so that those near a place are found without looking at all.
-struct Places {
-    edge_mm: f64,
-    cubes: HashMap<I64Vec3, Vec<usize>>,
-}
-
-impl Places {
-    fn new(edge_mm: f64) -> Self {
-        Self { edge_mm, cubes: HashMap::new() }
-    }
-
-    fn cube(&self, point_mm: DVec3) -> I64Vec3 {
-        // Where the edge is so short that cubes have no number, they share the last one.
-        const FARTHEST: DVec3 = DVec3::splat(1e15);
-        (point_mm / self.edge_mm).floor().clamp(-FARTHEST, FARTHEST).as_i64vec3()
-    }
-
-    fn add(&mut self, number: usize, point_mm: DVec3) {
-        self.cubes.entry(self.cube(point_mm)).or_default().push(number);
-    }
-
-    /// All points within an edge of a place, and some more.
-    fn near(&self, point_mm: DVec3) -> impl Iterator<Item = usize> + '_ {
-        let home = self.cube(point_mm);
-        let around = (0..27).map(move |k| home + I64Vec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1));
-        around.filter_map(|cube| self.cubes.get(&cube)).flatten().copied()
-    }
-}
-
-/// A cluster that Dijkstra's algorithm may settle next: the nearest first, then the lowest number.
-#[derive(PartialEq)]
-struct Reached {
-    distance_mm: f64,
-    cluster: usize,
-}
-
-impl Eq for Reached {}
-
-impl Ord for Reached {
-    fn cmp(&self, other: &Self) -> Ordering {
-        // A heap gives the greatest first.
-        other.distance_mm.total_cmp(&self.distance_mm).then(other.cluster.cmp(&self.cluster))
-    }
-}
-
-impl PartialOrd for Reached {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-/// Dijkstra's algorithm: distances from `start`, and the predecessor of each cluster on its path.
-fn shortest_paths(
-    clusters: &[DVec3],
-    neighbours: &[Vec<usize>],
-    start: usize,
-) -> (Vec<f64>, Vec<Option<usize>>) {
-    let count = clusters.len();
-    let (mut distance, mut before) = (vec![f64::INFINITY; count], vec![None; count]);
-    let mut settled = vec![false; count];
-    distance[start] = 0.0;
-    let mut open = BinaryHeap::from([Reached { distance_mm: 0.0, cluster: start }]);
-    while let Some(Reached { cluster: here, .. }) = open.pop() {
-        if std::mem::replace(&mut settled[here], true) {
-            continue;
-        }
-        for &next in &neighbours[here] {
-            let through = distance[here] + clusters[here].distance(clusters[next]);
-            if through < distance[next] {
-                distance[next] = through;
-                before[next] = Some(here);
-                open.push(Reached { distance_mm: through, cluster: next });
-            }
-        }
-    }
-    (distance, before)
 }
 
 /// The curve c that minimises `Σ wᵢ|pᵢ - c(sᵢ)|² + λ Σ|c'' |²`, sᵢ being the station of the previous curve

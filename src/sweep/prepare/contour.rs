@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 
 /// The lumen's outline in a frame, without wrong echoes and noise.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-pub(in crate::sweep) struct Outline {
+pub(crate) struct Outline {
     /// Centroid of its area in the probe's plane, mm.
     pub centre_mm: DVec2,
     /// Radius of the circle with its area, mm.
@@ -22,7 +22,7 @@ pub(in crate::sweep) struct Outline {
 
 impl Outline {
     /// `None` for a contour that encloses no area.
-    pub(in crate::sweep) fn of(frame: &Frame) -> Option<Self> {
+    pub(crate) fn of(frame: &Frame) -> Option<Self> {
         let points = without_spikes(&frame.contour_mm);
         let noise_mm = noise_mm(&points);
         let outline = Frame { contour_mm: smoothed(&points, noise_mm), ..*frame };
@@ -32,6 +32,11 @@ impl Outline {
         let pairs = outline.contour_mm.windows(2).map(|pair| [pair[0] - first, pair[1] - first]);
         let twice_area: f64 = pairs.map(|[a, b]| a.perp_dot(b)).sum();
         Some(Self { centre_mm, radius_mm: (twice_area.abs() / TAU).sqrt(), folded_share, noise_mm })
+    }
+
+    /// Whether every ray from the centre meets the wall once, nearly.
+    pub(crate) fn is_star_shaped(&self) -> bool {
+        self.folded_share <= MAX_FOLDED
     }
 }
 

@@ -17,7 +17,7 @@ pub(in crate::sweep) fn tangential_noise_mm(contours_mm: &[&[DVec2]]) -> f64 {
 
 /// Mean outward shift of the echoes of a round wall that noise along the wall causes, mm: half the variance times the
 /// curvature.
-pub(in crate::sweep) fn outward_bias_mm(radius_mm: f64, tangential_noise_mm: f64) -> f64 {
+pub(crate) fn outward_bias_mm(radius_mm: f64, tangential_noise_mm: f64) -> f64 {
     if tangential_noise_mm == 0.0 {
         return 0.0;
     }

@@ -5,7 +5,7 @@
 //! Patches keep their borders: nodes on a seam, the edges between two patches or at an opening, stay on it.
 
 use crate::Result;
-use crate::evaluate::Locator;
+use super::Locator;
 use crate::surface::Surface;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -26,16 +26,18 @@ const NEEDLE_DEG: f64 = 15.0;
 
 /// Triangles in patches. Neighbouring triangles of different patches meet at a seam.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Patches {
+pub(crate) struct Patches {
     pub nodes_mm: Vec<DVec3>,
     pub triangles: Vec<[u32; 3]>,
     /// Of each triangle.
     pub patch: Vec<u32>,
+    /// Nodes that stay where they are, as do the edges between two of them; none of the others need be named.
+    pub fixed: Vec<u32>,
 }
 
 impl Patches {
     /// The triangles of one patch, with the nodes of all.
-    pub(super) fn surface_of(&self, patch: u32) -> Surface {
+    pub(crate) fn surface_of(&self, patch: u32) -> Surface {
         let of_patch = self.triangles.iter().zip(&self.patch).filter(|(_, p)| **p == patch);
         Surface {
             nodes_mm: self.nodes_mm.clone(),
@@ -45,7 +47,7 @@ impl Patches {
     }
 
     /// The nodes that one patch uses.
-    pub(super) fn nodes_of(&self, patch: u32) -> Vec<DVec3> {
+    pub(crate) fn nodes_of(&self, patch: u32) -> Vec<DVec3> {
         let mut nodes: Vec<u32> = self.surface_of(patch).triangles.into_flattened();
         nodes.sort_unstable();
         nodes.dedup();
@@ -53,17 +55,17 @@ impl Patches {
     }
 
     /// All triangles.
-    pub(super) fn surface(&self) -> Surface {
+    pub(crate) fn surface(&self) -> Surface {
         Surface { nodes_mm: self.nodes_mm.clone(), triangles: self.triangles.clone(), arrays: Vec::new() }
     }
 
-    pub(super) fn count(&self) -> u32 {
+    pub(crate) fn count(&self) -> u32 {
         self.patch.iter().max().map_or(0, |last| last + 1)
     }
 }
 
 /// The same surface in triangles whose edges have the length that `edge_mm` gives at a place.
-pub(super) fn remeshed(patches: &Patches, edge_mm: &(dyn Fn(DVec3) -> f64 + Sync)) -> Result<Patches> {
+pub(crate) fn remeshed(patches: &Patches, edge_mm: &(dyn Fn(DVec3) -> f64 + Sync)) -> Result<Patches> {
     let target = Target::of(patches)?;
     let mut mesh = Mesh::of(patches);
     for _ in 0..ROUNDS {
@@ -119,6 +121,8 @@ enum Place {
     Seam,
     /// Where seams meet: it stays where it is.
     Corner,
+    /// It stays where it is, and so do edges to others of the kind.
+    Fixed,
 }
 
 /// Marks a triangle that is no more.
@@ -139,7 +143,7 @@ struct Mesh {
 
 impl Mesh {
     fn of(patches: &Patches) -> Self {
-        let Patches { nodes_mm, triangles, patch } = patches.clone();
+        let Patches { nodes_mm, triangles, patch, fixed } = patches.clone();
         let mut about = vec![Vec::new(); nodes_mm.len()];
         for (t, corners) in (0..).zip(&triangles) {
             corners.iter().for_each(|&n| about[n as usize].push(t));
@@ -158,6 +162,7 @@ impl Mesh {
             _ => Place::Corner,
         };
         mesh.place = seams.into_iter().map(place).collect();
+        fixed.into_iter().for_each(|n| mesh.place[n as usize] = Place::Fixed);
         mesh
     }
 
@@ -254,7 +259,9 @@ impl Mesh {
 
     fn split_long_edges(&mut self) {
         for _ in 0..MAX_SWEEPS {
-            let is_long = |edge: &[u32; 2]| self.length(*edge) > LONGEST * self.wanted(*edge);
+            let is_fixed = |edge: &[u32; 2]| edge.iter().all(|&n| self.place[n as usize] == Place::Fixed);
+            let is_long =
+                |edge: &[u32; 2]| self.length(*edge) > LONGEST * self.wanted(*edge) && !is_fixed(edge);
             let mut long: Vec<[u32; 2]> = self.edges().into_iter().filter(is_long).collect();
             // The longest first: halving the longest side of a triangle does not narrow it.
             long.sort_by(|p, q| self.length(*q).total_cmp(&self.length(*p)).then(p.cmp(q)));
@@ -312,11 +319,11 @@ impl Mesh {
         }
         let on_seam = self.seam(gone, kept).is_some();
         let to_mm = match (self.place[gone as usize], self.place[kept as usize]) {
-            (Place::Corner, _) => return false,
+            (Place::Corner | Place::Fixed, _) => return false,
             (Place::Inside, Place::Inside) => 0.5 * (self.at(gone) + self.at(kept)),
             (Place::Inside, _) => self.at(kept),
             (Place::Seam, Place::Seam) if on_seam => 0.5 * (self.at(gone) + self.at(kept)),
-            (Place::Seam, Place::Corner) if on_seam => self.at(kept),
+            (Place::Seam, Place::Corner | Place::Fixed) if on_seam => self.at(kept),
             _ => return false,
         };
         let beside = self.beside(gone, kept);
@@ -436,7 +443,7 @@ impl Mesh {
         let triangles = &self.about[node as usize];
         match self.place[node as usize] {
             _ if triangles.is_empty() => here,
-            Place::Corner => here,
+            Place::Corner | Place::Fixed => here,
             Place::Seam => {
                 let mut along =
                     self.neighbours(node).into_iter().filter_map(|n| Some((n, self.seam(node, n)?)));
@@ -473,7 +480,7 @@ fn is_flat(normal: DVec3, corners: [u32; 3], mesh: &Mesh) -> bool {
 }
 
 /// The smallest angle of a triangle, rad; 0 where it has no area.
-pub(super) fn smallest_angle_rad([a, b, c]: [DVec3; 3]) -> f64 {
+pub(crate) fn smallest_angle_rad([a, b, c]: [DVec3; 3]) -> f64 {
     let angle = |at: DVec3, p: DVec3, q: DVec3| {
         let (u, v) = (p - at, q - at);
         u.cross(v).length().atan2(u.dot(v))

@@ -1,0 +1,485 @@
+//! One surface of several tubes that meet.
+//!
+//! Away from partings the surface has the nodes of the tubes' own grids. Where tubes meet, whole rings of them give way to
+//! the surface of the union: the zero of the least of their distances, found by marching tetrahedra in the cells along
+//! the walls, cut off half a ring before the first ring that stays, sewn to it, and remeshed at the grids' resolution.
+
+use super::tube::{Spot, Tube};
+use crate::Result;
+use crate::surface::marching::Lattice;
+use crate::surface::remesh::{Patches, remeshed};
+use crate::surface::{Groups, Surface, face_triangles};
+use glam::{DVec3, I64Vec3};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, HashMap};
+use std::f64::consts::{PI, TAU};
+
+/// Rings whose wall is nearer than this to that of another tube, in edges, give way …
+const NEAR_EDGES: f64 = 2.0;
+/// … and so many rings beside them.
+const BESIDE: usize = 2;
+/// Steps in which the part of a ring that lies inside another tube is found, and rings over which a tube is narrowed to it.
+const SHARES: usize = 10;
+const NARROWED: usize = 12;
+/// Bounds of the distance that the field gives where a tube has none, in edges.
+const FAR_EDGES: f64 = 4.0;
+
+/// Where a node of the joined surface comes from.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Origin {
+    /// A node of a tube's grid.
+    Grid { tube: usize, node: usize },
+    /// A place on the wall of a tube, near where tubes meet.
+    Parting { tube: usize, spot: Spot },
+}
+
+/// The joined surface.
+pub(super) struct Joined {
+    pub surface: Surface,
+    /// Of each node.
+    pub origin: Vec<Origin>,
+    /// Of each node: the place where tubes meet that it belongs to, counted from 0; `None` on a grid.
+    pub parting: Vec<Option<usize>>,
+}
+
+/// Rings of a tube that give way to the union.
+#[derive(Debug, Clone)]
+struct Zone {
+    tube: usize,
+    first: usize,
+    last: usize,
+    /// Tubes and rings near it.
+    meets: Vec<(usize, usize)>,
+}
+
+/// Joins tubes. `joined` says which tube the first and the last ring of each lie in.
+pub(super) fn joined(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) -> Result<Joined> {
+    trim(tubes, inner_ends);
+    let tubes = &*tubes;
+    let zones = zones(tubes, inner_ends);
+    let partings = partings(&zones);
+    let patches = partings
+        .iter()
+        .map(|members| {
+            let zones: Vec<&Zone> = members.iter().map(|&z| &zones[z]).collect();
+            patch(tubes, &zones)
+        })
+        .collect::<Result<Vec<_>>>()?;
+    Ok(assembled(tubes, &zones, patches))
+}
+
+/// Drops the rings that lie deep inside other tubes: up to the outermost ring that is wholly inside. Where none is, the
+/// innermost rings are narrowed until they are.
+fn trim(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) {
+    for number in 0..tubes.len() {
+        for end in [0, 1] {
+            let Some(other) = inner_ends[number][end] else { continue };
+            let tube = &tubes[number];
+            let (first, last) = (*tube.rings.start(), *tube.rings.end());
+            let ring = |k: usize| if end == 0 { first + k } else { last - k };
+            let margin_mm = -0.5 * tube.edge_mm;
+            // The share of a ring's radii that lies inside.
+            let share = |k: usize| -> f64 {
+                let of_node = |j: usize| {
+                    let (origin, p) = (tube.axis.points_mm[ring(k)], tube.node_mm(ring(k), j));
+                    let is_inside = |share: f64| tubes[other].outside_mm(origin.lerp(p, share)) < margin_mm;
+                    (0..=SHARES).rev().map(|s| s as f64 / SHARES as f64).find(|&s| is_inside(s)).unwrap_or(0.0)
+                };
+                (0..tube.nodes).map(of_node).fold(1.0, f64::min)
+            };
+            let shares: Vec<f64> = (0..(last - first) / 2).into_par_iter().map(share).collect();
+            let whole = shares.iter().rposition(|&share| share == 1.0);
+            let most = || (0..shares.len()).max_by(|&a, &b| shares[a].total_cmp(&shares[b]).then(a.cmp(&b)));
+            let Some(k) = whole.or_else(most) else { continue };
+            let (start, share) = (ring(k), shares[k]);
+            let tube = &mut tubes[number];
+            tube.rings = if end == 0 { start..=last } else { first..=start };
+            for away in 0..if share < 1.0 { NARROWED } else { 0 } {
+                let ring = if end == 0 { start + away } else { start - away.min(start) };
+                let factor = share + (1.0 - share) * away as f64 / NARROWED as f64;
+                let nodes = ring * tube.nodes..(ring + 1) * tube.nodes;
+                tube.radii_mm.get_mut(nodes).into_iter().flatten().for_each(|radius| *radius *= factor);
+            }
+        }
+    }
+}
+
+/// The rings of all tubes that come near another tube.
+fn zones(tubes: &[Tube], inner_ends: &[[Option<usize>; 2]]) -> Vec<Zone> {
+    let mut zones: Vec<Zone> = Vec::new();
+    for (number, tube) in tubes.iter().enumerate() {
+        let (first, last) = (*tube.rings.start(), *tube.rings.end());
+        let meets: Vec<Vec<(usize, usize)>> = (first..=last)
+            .into_par_iter()
+            .map(|k| {
+                let mut meets = Vec::new();
+                for j in 0..tube.nodes {
+                    let p = tube.node_mm(k, j);
+                    for (o, other) in tubes.iter().enumerate().filter(|(o, _)| *o != number) {
+                        let margin_mm = NEAR_EDGES * tube.edge_mm.max(other.edge_mm);
+                        if let Some(spot) = other.spot(p).filter(|spot| spot.outside_mm < margin_mm) {
+                            meets.push((o, spot.ring.round() as usize));
+                        }
+                    }
+                }
+                meets.sort_unstable();
+                meets.dedup();
+                meets
+            })
+            .collect();
+        let mut k = first;
+        while k <= last {
+            if meets[k - first].is_empty() {
+                k += 1;
+                continue;
+            }
+            let start = k;
+            let mut end = k;
+            // Short stretches between two zones belong to them.
+            while let Some(next) = (end + 1..=(end + 2 * BESIDE + 2).min(last)).rev().find(|&k| !meets[k - first].is_empty()) {
+                end = next;
+            }
+            let (mut zone_first, mut zone_last) = (start.saturating_sub(BESIDE).max(first), (end + BESIDE).min(last));
+            if inner_ends[number][0].is_some() && zones.last().is_none_or(|z| z.tube != number) && start < first + (last - first) / 2 {
+                zone_first = first;
+            }
+            if inner_ends[number][1].is_some() && end + BESIDE >= last {
+                zone_last = last;
+            }
+            let mut near: Vec<(usize, usize)> = meets[start - first..=end - first].concat();
+            near.sort_unstable();
+            near.dedup();
+            zones.push(Zone { tube: number, first: zone_first, last: zone_last, meets: near });
+            k = end + 1;
+        }
+    }
+    zones
+}
+
+/// Zones that meet, by their numbers.
+fn partings(zones: &[Zone]) -> Vec<Vec<usize>> {
+    let mut groups = Groups::new(zones.len());
+    for (a, zone) in zones.iter().enumerate() {
+        for &(tube, ring) in &zone.meets {
+            let b = zones.iter().position(|z| z.tube == tube && (z.first..=z.last).contains(&ring));
+            if let Some(b) = b {
+                groups.join(a as u32, b as u32);
+            }
+        }
+    }
+    let mut partings: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for zone in 0..zones.len() {
+        partings.entry(groups.root(zone as u32)).or_default().push(zone);
+    }
+    partings.into_values().collect()
+}
+
+/// The union's surface about one parting, up to the rings that stay.
+struct Patch {
+    surface: Surface,
+    origin: Vec<(usize, Spot)>,
+}
+
+/// A ring of a grid that a patch is sewn to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Seam {
+    tube: usize,
+    ring: usize,
+    /// Whether the patch lies on the side of the lower rings.
+    below: bool,
+}
+
+fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
+    let mut members: Vec<usize> = zones.iter().map(|zone| zone.tube).collect();
+    members.sort_unstable();
+    members.dedup();
+    let edge_mm = members.iter().map(|&t| tubes[t].edge_mm).fold(f64::INFINITY, f64::min);
+    let far_mm = FAR_EDGES * edge_mm;
+    let nearest = |p: DVec3| -> Option<(usize, Spot)> {
+        let spots = members.iter().filter_map(|&t| Some((t, tubes[t].spot(p)?)));
+        spots.min_by(|a, b| a.1.outside_mm.total_cmp(&b.1.outside_mm).then(a.0.cmp(&b.0)))
+    };
+    let field = |p: DVec3| nearest(p).map_or(far_mm, |(_, spot)| spot.outside_mm.clamp(-far_mm, far_mm));
+
+    let first = zones[0];
+    let tube = &tubes[first.tube];
+    let lattice = Lattice {
+        origin_mm: tube.node_mm(first.first, 0),
+        step_mm: DVec3::splat(edge_mm),
+    };
+    let mut cells: Vec<I64Vec3> = zones
+        .par_iter()
+        .flat_map_iter(|zone| {
+            let tube = &tubes[zone.tube];
+            let low = zone.first.saturating_sub(2).max(*tube.rings.start());
+            let high = (zone.last + 2).min(*tube.rings.end());
+            // As close as the cells, where those of a finer grid are smaller than a coarser grid's.
+            let parts = 2 * (tube.edge_mm / edge_mm).ceil() as usize;
+            let places =
+                (parts * low..=parts * high).flat_map(move |k| (0..parts * tube.nodes).map(move |j| (k, j)));
+            let mut cells: Vec<I64Vec3> = places
+                .map(|(k, j)| {
+                    let ring = k as f64 / parts as f64;
+                    let theta_rad = TAU * j as f64 / (parts * tube.nodes) as f64;
+                    lattice.cell(tube.axis.point_between_mm(ring, theta_rad, tube.radius_mm(ring, theta_rad)))
+                })
+                .collect();
+            cells.sort_unstable_by_key(I64Vec3::to_array);
+            cells.dedup();
+            cells
+        })
+        .flat_map_iter(|cell| (0..27).map(move |k| cell + I64Vec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1)))
+        .collect();
+    cells.par_sort_unstable_by_key(I64Vec3::to_array);
+    cells.dedup();
+    let whole = lattice.zero_surface(&cells, field);
+
+    // Rings within the zones, and half a ring off those that stay.
+    let within = |(tube, spot): (usize, Spot)| -> f64 {
+        let of_tube = zones.iter().filter(|zone| zone.tube == tube);
+        let inside = of_tube.map(|zone| {
+            let low = if zone.first == *tubes[tube].rings.start() { f64::INFINITY } else { spot.ring - zone.first as f64 - 0.5 };
+            let end = zone.last as f64 - 0.5;
+            low.min(end - spot.ring)
+        });
+        inside.fold(-1.0, f64::max)
+    };
+    let spot_of = |p: &DVec3| nearest(*p);
+    let spots: Vec<Option<(usize, Spot)>> = whole.nodes_mm.par_iter().map(spot_of).collect();
+    let inside: Vec<f64> = spots.iter().map(|spot| spot.map_or(-1.0, within)).collect();
+    let mut surface = largest_part(&clipped(&whole, &inside));
+
+    let mut origin: Vec<(usize, Spot)> = Vec::with_capacity(surface.nodes_mm.len());
+    for p in &surface.nodes_mm {
+        let spot = Spot { ring: 0.0, theta_rad: 0.0, outside_mm: 0.0 };
+        origin.push(nearest(*p).unwrap_or((members[0], spot)));
+    }
+    let mut seams: Vec<Seam> = Vec::new();
+    for zone in zones {
+        let rings = &tubes[zone.tube].rings;
+        if zone.first > *rings.start() {
+            seams.push(Seam { tube: zone.tube, ring: zone.first, below: false });
+        }
+        if zone.last < *rings.end() {
+            seams.push(Seam { tube: zone.tube, ring: zone.last, below: true });
+        }
+    }
+    let mut fixed = Vec::new();
+    let mut rims = rims(&surface);
+    for seam in seams {
+        let at = |node: u32| {
+            let (tube, spot) = origin[node as usize];
+            let edge = if seam.below { seam.ring as f64 - 0.5 } else { seam.ring as f64 + 0.5 };
+            tube == seam.tube && (spot.ring - edge).abs() < 0.25
+        };
+        let is_of_seam = |rim: &Vec<u32>| 2 * rim.iter().filter(|&&n| at(n)).count() > rim.len();
+        let Some(which) = rims.iter().position(is_of_seam) else { continue };
+        let rim = rims.swap_remove(which);
+        let theta: Vec<f64> = rim
+            .iter()
+            .map(|&n| tubes[seam.tube].spot(surface.nodes_mm[n as usize]).map_or(0.0, |spot| spot.theta_rad))
+            .collect();
+        fixed.extend(sew(&mut surface, &mut origin, &tubes[seam.tube], seam, &rim, &theta));
+    }
+    let triangles = surface.triangles.len();
+    let patches =
+        Patches { nodes_mm: surface.nodes_mm, triangles: surface.triangles, patch: vec![0; triangles], fixed };
+    let wanted = |p: DVec3| nearest(p).map_or(edge_mm, |(t, _)| tubes[t].edge_mm);
+    let even = remeshed(&patches, &wanted)?.surface();
+    let fallback = (members[0], Spot { ring: 0.0, theta_rad: 0.0, outside_mm: 0.0 });
+    let origin = even.nodes_mm.par_iter().map(|p| nearest(*p).unwrap_or(fallback)).collect();
+    Ok(Patch { surface: even, origin })
+}
+
+/// The part of a surface where a value of its nodes is positive.
+fn clipped(surface: &Surface, value: &[f64]) -> Surface {
+    let mut part = Surface { nodes_mm: surface.nodes_mm.clone(), ..Surface::default() };
+    let mut cuts: HashMap<(u32, u32), u32> = HashMap::new();
+    for &triangle in &surface.triangles {
+        let is_in = triangle.map(|n| value[n as usize] > 0.0);
+        let mut cut = |a: u32, b: u32| {
+            *cuts.entry((a.min(b), a.max(b))).or_insert_with(|| {
+                let (low, high) = (a.min(b), a.max(b));
+                let [p, q] = [low, high].map(|n| value[n as usize]);
+                // Not so near to a node that triangles have no area.
+                let share = (p / (p - q)).clamp(0.05, 0.95);
+                part.nodes_mm.push(surface.nodes_mm[low as usize].lerp(surface.nodes_mm[high as usize], share));
+                (part.nodes_mm.len() - 1) as u32
+            })
+        };
+        let turned = |k: usize| [triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]];
+        match is_in.iter().filter(|&&x| x).count() {
+            3 => part.triangles.push(triangle),
+            1 => {
+                let [a, b, c] = turned(is_in.iter().position(|&x| x).unwrap_or(0));
+                let (ab, ac) = (cut(a, b), cut(a, c));
+                part.triangles.push([a, ab, ac]);
+            }
+            2 => {
+                let [a, b, c] = turned(is_in.iter().position(|&x| !x).unwrap_or(0));
+                let (ab, ac) = (cut(a, b), cut(a, c));
+                part.triangles.extend([[ab, b, c], [ab, c, ac]]);
+            }
+            _ => {}
+        }
+    }
+    part
+}
+
+/// The part with most triangles, and the nodes that it uses.
+pub(super) fn largest_part(surface: &Surface) -> Surface {
+    let mut groups = Groups::new(surface.nodes_mm.len());
+    for &[a, b, c] in &surface.triangles {
+        groups.join(a, b);
+        groups.join(b, c);
+    }
+    let mut sizes: BTreeMap<u32, usize> = BTreeMap::new();
+    let roots: Vec<u32> = surface.triangles.iter().map(|t| groups.root(t[0])).collect();
+    roots.iter().for_each(|&root| *sizes.entry(root).or_default() += 1);
+    let largest = sizes.iter().max_by(|a, b| a.1.cmp(b.1).then(b.0.cmp(a.0))).map(|(&root, _)| root);
+    let kept = surface.triangles.iter().zip(&roots).filter(|(_, root)| Some(**root) == largest);
+    let mut number = HashMap::new();
+    let mut part = Surface::default();
+    for (triangle, _) in kept {
+        part.triangles.push(triangle.map(|n| {
+            *number.entry(n).or_insert_with(|| {
+                part.nodes_mm.push(surface.nodes_mm[n as usize]);
+                (part.nodes_mm.len() - 1) as u32
+            })
+        }));
+    }
+    part
+}
+
+/// The closed curves of the surface's boundary, each along its triangles' direction.
+fn rims(surface: &Surface) -> Vec<Vec<u32>> {
+    let mut next: BTreeMap<(u32, u32), usize> = BTreeMap::new();
+    for &[a, b, c] in &surface.triangles {
+        for edge in [(a, b), (b, c), (c, a)] {
+            *next.entry(edge).or_default() += 1;
+        }
+    }
+    let boundary: BTreeMap<u32, u32> =
+        next.keys().filter(|(a, b)| !next.contains_key(&(*b, *a))).copied().collect();
+    let mut seen = std::collections::BTreeSet::new();
+    let mut rims = Vec::new();
+    for &start in boundary.keys() {
+        let (mut rim, mut here) = (Vec::new(), start);
+        while seen.insert(here) {
+            rim.push(here);
+            match boundary.get(&here) {
+                Some(&next) => here = next,
+                None => break,
+            }
+        }
+        if rim.len() > 2 && here == start {
+            rims.push(rim);
+        }
+    }
+    rims
+}
+
+/// Adds the nodes of a ring and the triangles between it and a rim; gives the ring's nodes.
+fn sew(
+    surface: &mut Surface,
+    origin: &mut Vec<(usize, Spot)>,
+    tube: &Tube,
+    seam: Seam,
+    rim: &[u32],
+    theta_rad: &[f64],
+) -> Vec<u32> {
+    let first = surface.nodes_mm.len() as u32;
+    for j in 0..tube.nodes {
+        surface.nodes_mm.push(tube.node_mm(seam.ring, j));
+        let theta_rad = TAU * j as f64 / tube.nodes as f64;
+        origin.push((seam.tube, Spot { ring: seam.ring as f64, theta_rad, outside_mm: 0.0 }));
+    }
+    // The rim in ascending angle, unwrapped from its lowest.
+    let turn = |a: f64, b: f64| (b - a + PI).rem_euclid(TAU) - PI;
+    let count = rim.len();
+    let winding: f64 = (0..count).map(|i| turn(theta_rad[i], theta_rad[(i + 1) % count])).sum();
+    let mut order: Vec<usize> = (0..count).collect();
+    if winding < 0.0 {
+        order.reverse();
+    }
+    let lowest = (0..count).fold(0, |best, i| if theta_rad[order[i]] < theta_rad[order[best]] { i } else { best });
+    order.rotate_left(lowest);
+    let mut angles = vec![theta_rad[order[0]]];
+    for pair in order.windows(2) {
+        angles.push(angles[angles.len() - 1] + turn(theta_rad[pair[0]], theta_rad[pair[1]]));
+    }
+    angles.push(angles[0] + TAU);
+    let rim_at = |i: usize| rim[order[i % count]];
+    let ring_at = |j: usize| first + (j % tube.nodes) as u32;
+    let ring_angle = |j: usize| TAU * j as f64 / tube.nodes as f64;
+    let (mut i, mut j) = (0, 0);
+    while i < count || j < tube.nodes {
+        let advance_rim = j == tube.nodes || (i < count && angles[i + 1] < ring_angle(j + 1));
+        let triangle = if advance_rim {
+            [rim_at(i), rim_at(i + 1), ring_at(j)]
+        } else {
+            [rim_at(i), ring_at(j + 1), ring_at(j)]
+        };
+        surface.triangles.push(if seam.below { triangle } else { [triangle[0], triangle[2], triangle[1]] });
+        if advance_rim { i += 1 } else { j += 1 }
+    }
+    (first..first + tube.nodes as u32).collect()
+}
+
+/// The rings that stay, and the patches.
+fn assembled(tubes: &[Tube], zones: &[Zone], patches: Vec<Patch>) -> Joined {
+    let mut joined = Joined { surface: Surface::default(), origin: Vec::new(), parting: Vec::new() };
+    let mut at_place: HashMap<[u64; 3], u32> = HashMap::new();
+    let place = |p: DVec3| p.to_array().map(f64::to_bits);
+    for (number, tube) in tubes.iter().enumerate() {
+        let of_tube: Vec<&Zone> = zones.iter().filter(|zone| zone.tube == number).collect();
+        // Whether the strip between a ring and the next stays.
+        let stays = |k: usize| !of_tube.iter().any(|zone| zone.first <= k && k < zone.last);
+        let rings = tube.rings.clone();
+        let (low, high) = (*rings.start(), *rings.end());
+        let mut starts: BTreeMap<usize, u32> = BTreeMap::new();
+        for k in rings {
+            if (k > low && stays(k - 1)) || (k < high && stays(k)) {
+                starts.insert(k, joined.surface.nodes_mm.len() as u32);
+                for j in 0..tube.nodes {
+                    let p = tube.node_mm(k, j);
+                    at_place.insert(place(p), joined.surface.nodes_mm.len() as u32);
+                    joined.surface.nodes_mm.push(p);
+                    joined.origin.push(Origin::Grid { tube: number, node: k * tube.nodes + j });
+                    joined.parting.push(None);
+                }
+            }
+        }
+        for k in low..high {
+            if !stays(k) {
+                continue;
+            }
+            let (below, above) = (starts[&k], starts[&(k + 1)]);
+            let n = tube.nodes as u32;
+            for j in 0..n {
+                let next = (j + 1) % n;
+                joined.surface.triangles.extend(face_triangles(below + j, below + next, above + next, above + j));
+            }
+        }
+    }
+    for (parting, patch) in patches.into_iter().enumerate() {
+        let nodes: Vec<u32> = patch
+            .surface
+            .nodes_mm
+            .iter()
+            .zip(&patch.origin)
+            .map(|(p, &(tube, spot))| {
+                if let Some(&node) = at_place.get(&place(*p)) {
+                    return node;
+                }
+                joined.surface.nodes_mm.push(*p);
+                joined.origin.push(Origin::Parting { tube, spot });
+                joined.parting.push(Some(parting));
+                (joined.surface.nodes_mm.len() - 1) as u32
+            })
+            .collect();
+        let triangles = patch.surface.triangles.iter().map(|t| t.map(|n| nodes[n as usize]));
+        joined.surface.triangles.extend(triangles);
+    }
+    joined
+}

@@ -1,0 +1,82 @@
+//! The wall of a branch as a function of place.
+
+use crate::sweep::Axis;
+use glam::DVec3;
+use std::f64::consts::TAU;
+use std::ops::RangeInclusive;
+
+/// Rings between those that are looked at first to find the nearest.
+const STRIDE: usize = 4;
+
+/// The wall of a branch: a tube about its axis.
+pub(super) struct Tube<'a> {
+    pub axis: &'a Axis,
+    /// Nodes per ring.
+    pub nodes: usize,
+    /// Radius at every node, mm.
+    pub radii_mm: Vec<f64>,
+    /// The rings that count.
+    pub rings: RangeInclusive<usize>,
+    /// Length of an edge, mm.
+    pub edge_mm: f64,
+    reach_mm: f64,
+}
+
+/// Where a point lies about a tube.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Spot {
+    /// Along the axis, in rings.
+    pub ring: f64,
+    /// About the axis, rad.
+    pub theta_rad: f64,
+    /// Distance from the wall along the radius, mm; negative inside.
+    pub outside_mm: f64,
+}
+
+impl<'a> Tube<'a> {
+    pub(super) fn new(axis: &'a Axis, nodes: usize, radii_mm: Vec<f64>, edge_mm: f64) -> Self {
+        let reach_mm = radii_mm.iter().copied().fold(0.0, f64::max) + 4.0 * edge_mm;
+        Self { axis, nodes, radii_mm, rings: 0..=axis.rings() - 1, edge_mm, reach_mm }
+    }
+
+    /// Radius of the wall, mm.
+    pub(super) fn radius_mm(&self, ring: f64, theta_rad: f64) -> f64 {
+        let k = (ring.max(0.0) as usize).min(self.axis.rings() - 2);
+        let u = (ring - k as f64).clamp(0.0, 1.0);
+        let node = theta_rad / TAU * self.nodes as f64;
+        let (j, v) = (node as usize % self.nodes, node.fract());
+        let next = (j + 1) % self.nodes;
+        let at = |k: usize, j: usize| self.radii_mm[k * self.nodes + j];
+        let ring = |k: usize| at(k, j) + (at(k, next) - at(k, j)) * v;
+        ring(k) + (ring(k + 1) - ring(k)) * u
+    }
+
+    /// A node's place, mm.
+    pub(super) fn node_mm(&self, ring: usize, node: usize) -> DVec3 {
+        let theta_rad = TAU * node as f64 / self.nodes as f64;
+        self.axis.point_mm(ring, theta_rad, self.radii_mm[ring * self.nodes + node])
+    }
+
+    /// Where a point lies; `None` beyond the tube's rings, and so far away that it does not matter.
+    pub(super) fn spot(&self, point_mm: DVec3) -> Option<Spot> {
+        let (first, last) = (*self.rings.start(), *self.rings.end());
+        let squared = |k: usize| self.axis.points_mm[k].distance_squared(point_mm);
+        let nearer = |best: usize, k: usize| if squared(k) < squared(best) { k } else { best };
+        let coarse = (first..=last).step_by(STRIDE).fold(last, nearer);
+        let near = (coarse.saturating_sub(STRIDE).max(first)..=(coarse + STRIDE).min(last)).fold(coarse, nearer);
+        if squared(near) > self.reach_mm * self.reach_mm {
+            return None;
+        }
+        let place = self.axis.place(point_mm, near)?;
+        if place.ring < first as f64 || place.ring > last as f64 {
+            return None;
+        }
+        let outside_mm = place.radius_mm - self.radius_mm(place.ring, place.theta_rad);
+        Some(Spot { ring: place.ring, theta_rad: place.theta_rad, outside_mm })
+    }
+
+    /// Distance from the wall, mm; infinite where there is no [`spot`](Self::spot).
+    pub(super) fn outside_mm(&self, point_mm: DVec3) -> f64 {
+        self.spot(point_mm).map_or(f64::INFINITY, |spot| spot.outside_mm)
+    }
+}
