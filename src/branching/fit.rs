@@ -18,6 +18,8 @@ const ROUNDS: usize = 3;
 /// Cut-off of Tukey's weights, and the largest distance of an echo on the wall, in standard deviations of the noise.
 const CUT_OFF: f64 = 4.685;
 const ON_WALL: f64 = 3.0;
+/// Least cosine between a ray and the normal of the wall that it meets: along a wall a ray says nothing of its place.
+const LEAST_COSINE: f64 = 0.2;
 /// Steps of the conjugate gradients, and their relative accuracy.
 const MAX_STEPS: usize = 400;
 const ACCURACY: f64 = 1e-4;
@@ -44,6 +46,8 @@ pub(super) struct TubeFit<'a> {
 /// An echo in the world.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct WorldEcho {
+    /// Where the probe looks from.
+    pub origin_mm: DVec3,
     pub point_mm: DVec3,
     pub frame: u32,
 }
@@ -163,20 +167,29 @@ impl Part {
         echoes.iter().filter(is_near).copied().collect()
     }
 
-    /// The echoes on the surface, but those beyond its rim.
+    /// The echoes on the wall that the probe sees in their directions: not on the nearest, which across a thin wall between
+    /// two branches may be the other branch's.
     fn project(&self, echoes: &[WorldEcho]) -> Result<Vec<Seen>> {
         let locator = Locator::new(&self.surface)?;
-        let points: Vec<DVec3> = echoes.iter().map(|e| e.point_mm).collect();
-        let closest = locator.closest_all(&points);
-        let seen = closest.into_par_iter().zip(echoes).filter(|(c, _)| !c.on_rim && c.distance_mm.is_finite());
-        let placed = seen.map(|(closest, echo)| {
-            let corners = self.surface.triangles[closest.triangle as usize];
-            let shares = barycentric(corners.map(|n| self.surface.nodes_mm[n as usize]), closest.point_mm);
+        let normals = self.surface.triangle_normals();
+        let seen = echoes.par_iter().filter_map(|echo| {
+            let ray = echo.point_mm - echo.origin_mm;
+            let length_mm = ray.length();
+            let direction = ray / length_mm;
+            let range_mm = length_mm + CUT_OFF * self.noise_mm;
+            let (triangle, distance_mm) = locator.cast(echo.origin_mm, direction, range_mm)?;
+            let normal = normals[triangle as usize];
+            if direction.dot(normal) < LEAST_COSINE {
+                return None;
+            }
+            let corners = self.surface.triangles[triangle as usize];
+            let there = echo.origin_mm + direction * distance_mm;
+            let shares = barycentric(corners.map(|n| self.surface.nodes_mm[n as usize]), there);
             let bias: f64 = corners.iter().zip(shares).map(|(&n, share)| share * self.bias_mm[n as usize]).sum();
-            let distance_mm = closest.signed_distance_mm - bias;
-            Seen { triangle: closest.triangle, shares, distance_mm, frame: echo.frame }
+            let distance_mm = (echo.point_mm - there).dot(normal) - bias;
+            Some(Seen { triangle, shares, distance_mm, frame: echo.frame })
         });
-        Ok(placed.collect())
+        Ok(seen.collect())
     }
 
     /// Moves the free nodes along their normals.

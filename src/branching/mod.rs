@@ -11,7 +11,7 @@ mod tube;
 pub use tree::{BranchPath, BranchTree, Dismissed};
 
 use crate::Result;
-use crate::recording::Recording;
+use crate::recording::{Frame, Recording};
 use crate::settings::Settings;
 use crate::surface::Surface;
 use crate::sweep::{StageProgress, Support, Sweep};
@@ -101,10 +101,21 @@ fn world_echoes(recording: &Recording, tree: &BranchTree, settings: &Settings) -
     let used = frames.filter(|(_, branch)| branch.is_some());
     used.flat_map_iter(|((k, frame), _)| {
         let pose = frame.world_from_sensor * sensor_from_probe;
-        let placed = move |p: DVec2| WorldEcho { point_mm: pose.transform_point(p.extend(0.0)), frame: k as u32 };
-        frame.echoes_mm().map(placed)
+        // Contours that do not go round the probe are seen from their middle.
+        let origin = if goes_round_probe(frame) { DVec2::ZERO } else { frame.centroid_mm().unwrap_or(DVec2::ZERO) };
+        let place = move |p: DVec2| pose.transform_point(p.extend(0.0));
+        let origin_mm = place(origin);
+        frame.echoes_mm().map(move |p| WorldEcho { origin_mm, point_mm: place(p), frame: k as u32 })
     })
     .collect()
+}
+
+/// Whether a contour encloses the probe.
+fn goes_round_probe(frame: &Frame) -> bool {
+    let points: Vec<DVec2> = frame.echoes_mm().collect();
+    let next = points.iter().cycle().skip(1);
+    let turn: f64 = points.iter().zip(next).map(|(a, b)| a.angle_to(*b)).sum();
+    turn.abs() > std::f64::consts::PI
 }
 
 /// The joined surface with the arrays of the sweeps' own surfaces, and `branch`.
