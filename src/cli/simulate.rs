@@ -3,6 +3,7 @@ use super::vessel::VesselArguments;
 use super::{Shown, print_json, progress, refuse_inputs};
 use crate::simulate::{
     Centreline, Insertion, Noise, Phantom, Probe, ReducedBend, Simulation, SimulationSettings, TrackerNoise,
+    Visit,
 };
 use crate::surface;
 use crate::{Error, Result};
@@ -16,6 +17,8 @@ use std::path::PathBuf;
   lumenmesh simulate --vessel small_arch --truth wall.vtp --truth-centreline middle.csv -o pullback.mat
   lumenmesh simulate --vessel cylinder --noise none --steady -o pullback.mat
   lumenmesh simulate --vessel aorta.stl --centreline aorta_centreline.csv --branch 1 -o recording/
+  lumenmesh simulate --vessel tree --branches 0,1,2,3 --truth-branches truth.csv -o recording/
+  lumenmesh simulate --vessel bifurcation --branches 0,1:80,0:5 --steady -o there_and_back/
   lumenmesh simulate --config simulation.toml --seed 7 -o recording/ --truth-recording truth/
   lumenmesh simulate --tracker-noise static_sensor.csv --sensor Reference -o recording/
 
@@ -24,8 +27,10 @@ A settings file:
   [vessel]
   edge_mm = 1.2
   shape.cylinder = { radius_mm = 12.0, length_mm = 100.0 }
+  # shape.tree = { levels = 3, daughter_ratio = 0.7, half_angle_deg = 35.0 }
   [insertion]
   repeat = true
+  # visits = [{ branch = 0 }, { branch = 1, to_mm = 60.0 }]
   moves = [{ advance = { distance_mm = 20.0 } }, { bend = { angle_deg = 30.0 } },
            { turn = { angle_deg = 360.0 } }, { bend = { angle_deg = 0.0 } }]
   [probe]
@@ -49,6 +54,9 @@ pub(super) struct Arguments {
     /// Also write the centrelines of its branches: CSV
     #[arg(long, value_name = "CSV")]
     truth_centreline: Option<PathBuf>,
+    /// Also write which branch the catheter is in in every frame, and where: CSV with frame, time_s, visit, branch, s_mm
+    #[arg(long, value_name = "CSV")]
+    truth_branches: Option<PathBuf>,
     /// Also write the recording without any noise
     #[arg(long, value_name = "REC")]
     truth_recording: Option<PathBuf>,
@@ -69,6 +77,12 @@ struct SettingsArguments {
     /// Go through this branch of the vessel, counted from 0 [default: 0]
     #[arg(long, value_name = "N")]
     branch: Option<usize>,
+    /// Visit several branches, each up to 5 mm before its end or to a length along it, mm
+    #[arg(long, value_name = "N[:MM],...", value_delimiter = ',', conflicts_with_all = ["branch", "end"])]
+    branches: Vec<Visit>,
+    /// Record while the catheter is withdrawn from one branch to the next, too [default: yes]
+    #[arg(long, value_name = "yes|no", value_parser = clap::builder::BoolishValueParser::new())]
+    record_withdrawals: Option<bool>,
     /// Only advance, without bending the tip
     #[arg(long)]
     steady: bool,
@@ -161,6 +175,7 @@ struct Summary<'a> {
     settings: &'a SimulationSettings,
     truth: Option<Shown<'a>>,
     truth_centreline: Option<Shown<'a>>,
+    truth_branches: Option<Shown<'a>>,
     truth_recording: Option<Shown<'a>>,
 }
 
@@ -175,6 +190,7 @@ impl Arguments {
                 Some(&*self.output),
                 self.truth.as_deref(),
                 self.truth_centreline.as_deref(),
+                self.truth_branches.as_deref(),
                 self.truth_recording.as_deref(),
             ],
             [surface, centreline, self.settings.config.as_deref(), self.settings.tracker_noise.as_deref()],
@@ -204,6 +220,9 @@ impl Arguments {
         if let Some(path) = &self.truth_centreline {
             Centreline::write_branches(simulation.vessel.branches(), path)?;
         }
+        if let Some(path) = &self.truth_branches {
+            simulation.write_places(path)?;
+        }
         if let Some(path) = &self.truth_recording {
             simulation.truth_recording.write(path)?;
         }
@@ -230,6 +249,7 @@ impl Arguments {
             settings: &settings,
             truth: self.truth.as_deref().map(Shown),
             truth_centreline: self.truth_centreline.as_deref().map(Shown),
+            truth_branches: self.truth_branches.as_deref().map(Shown),
             truth_recording: self.truth_recording.as_deref().map(Shown),
         };
         if self.json {
@@ -260,6 +280,11 @@ impl SettingsArguments {
         }
         let SimulationSettings { insertion, probe, noise, cylinders } = settings;
         set(&mut insertion.branch, self.branch);
+        if !self.branches.is_empty() {
+            insertion.visits = self.branches.clone();
+            (insertion.branch, insertion.end_mm) = (0, None);
+        }
+        set(&mut insertion.record_withdrawals, self.record_withdrawals);
         if self.steady {
             insertion.moves = Insertion::steady().moves;
             insertion.repeat = true;
@@ -299,14 +324,22 @@ impl Summary<'_> {
         for repair in self.repairs {
             println!("           {repair}");
         }
-        println!(
-            "insertion  branch {} (of {}), {:.1} mm long, from {:.1} to {:.1} mm",
-            insertion.branch,
-            self.branches,
-            self.branch_length_mm,
-            insertion.start_mm,
-            insertion.end_in_mm(self.branch_length_mm)
-        );
+        if insertion.visits.is_empty() {
+            println!(
+                "insertion  branch {} (of {}), {:.1} mm long, from {:.1} to {:.1} mm",
+                insertion.branch,
+                self.branches,
+                self.branch_length_mm,
+                insertion.start_mm,
+                insertion.end_in_mm(self.branch_length_mm)
+            );
+        } else {
+            let visits = insertion.visits.iter().map(|visit| match visit.to_mm {
+                None => visit.branch.to_string(),
+                Some(to) => format!("{} up to {to} mm", visit.branch),
+            });
+            println!("insertion  branches {} (of {})", visits.collect::<Vec<_>>().join(", "), self.branches);
+        }
         if let Some(least) = self.reduced_bends.iter().min_by(|a, b| a.used_deg.total_cmp(&b.used_deg)) {
             println!(
                 "           {} bends reduced to keep the tip in the lumen, the most at {:.0} mm: {}° to {:.1}°",
@@ -340,6 +373,9 @@ impl Summary<'_> {
         }
         if let Some(path) = &self.truth_centreline {
             println!("centreline {}", path.display());
+        }
+        if let Some(path) = &self.truth_branches {
+            println!("branches   {}", path.display());
         }
         if let Some(path) = &self.truth_recording {
             println!("truth      {}", path.display());

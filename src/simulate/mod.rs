@@ -15,11 +15,14 @@
 
 mod branching;
 mod centreline;
+mod curve;
 mod insertion;
 mod noise;
 mod phantom;
 mod probe;
+mod route;
 mod tracker;
+mod tree;
 mod vessel;
 
 pub use centreline::Centreline;
@@ -27,10 +30,13 @@ pub use insertion::{Insertion, Move, ReducedBend};
 pub use noise::{ContourNoise, Noise};
 pub use phantom::{Phantom, Shape};
 pub use probe::Probe;
+pub use route::{Place, Visit};
 pub use tracker::TrackerNoise;
+pub use tree::Tree;
 pub use vessel::SimulatedVessel;
 
 use crate::geometry::Pose;
+use crate::output::write_atomically;
 use crate::recording::CylinderModel;
 use crate::recording::{Frame, Recording};
 use crate::setters::setters;
@@ -83,6 +89,8 @@ pub struct Simulation {
     pub recording: Recording,
     /// The same frames without any fault, in the vessel at rest: true poses, wall points exactly on the wall.
     pub truth_recording: Recording,
+    /// Of every frame, which branch the catheter is in, and where.
+    pub places: Vec<Place>,
     /// The vessel.
     pub vessel: SimulatedVessel,
     /// Bends that were reduced to keep the tip in the lumen.
@@ -110,53 +118,73 @@ impl Simulation {
     ) -> Result<Self> {
         settings.validate()?;
         let path = settings.insertion.plan(&vessel, 1.0 - settings.noise.pulsation_fraction)?;
-        let frames = path.frames();
-        let drift = settings.noise.drift(frames, path.time_s(1));
+        let drift = settings.noise.drift(path.ticks(), path.time_s(1));
+        let ticks: Vec<usize> = (0..path.ticks()).filter(|&tick| path.is_recorded(tick)).collect();
         let done = std::sync::atomic::AtomicUsize::new(0);
-        let pairs = drift
-            .into_par_iter()
-            .enumerate()
-            .map(|(k, drift)| {
-                path.check(&vessel, path.time_s(k))?;
-                let pair = frame(&vessel, settings, &path, k, drift);
-                tell(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1, frames);
+        let pairs = ticks
+            .par_iter()
+            .map(|&tick| {
+                path.check(&vessel, path.time_s(tick))?;
+                let pair = frame(&vessel, settings, &path, tick, drift[tick]);
+                tell(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1, ticks.len());
                 Ok(pair)
             })
             // Collecting results in parallel would give the first error in time, not in frame order.
             .collect::<Vec<Result<_>>>()
             .into_iter()
             .collect::<Result<Vec<_>>>()?;
+        let places = ticks.iter().map(|&tick| path.place(path.time_s(tick))).collect();
         let (recording, truth): (Vec<Frame>, Vec<Frame>) = pairs.into_iter().unzip();
         let reduced_bends = path.reduced_bends;
         Ok(Self {
             recording: Recording { frames: recording },
             truth_recording: Recording { frames: truth },
+            places,
             vessel,
             reduced_bends,
         })
     }
 }
 
-/// Frame `k` as recorded, and in truth.
+impl Simulation {
+    /// Writes `places` as CSV with the columns `frame` (from 0), `time_s`, `visit`, `branch` and `s_mm`.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn write_places(&self, path: &std::path::Path) -> Result<()> {
+        write_atomically(path, |out| {
+            let mut table = csv::Writer::from_writer(out);
+            table.write_record(["frame", "time_s", "visit", "branch", "s_mm"])?;
+            for (number, (place, frame)) in self.places.iter().zip(&self.truth_recording.frames).enumerate() {
+                let time_s = frame.time_s.map_or(String::new(), |time| time.to_string());
+                let [visit, branch] = [place.visit, place.branch].map(|n| n.to_string());
+                table.write_record([number.to_string(), time_s, visit, branch, place.s_mm.to_string()])?;
+            }
+            table.flush()
+        })
+    }
+}
+
+/// The frame of a tick as recorded, and in truth.
 fn frame(
     vessel: &SimulatedVessel,
     settings: &SimulationSettings,
     path: &insertion::Path,
-    k: usize,
+    tick: usize,
     drift: (DVec3, DVec3),
 ) -> (Frame, Frame) {
     let SimulationSettings { probe, noise, .. } = settings;
-    let time_s = path.time_s(k);
+    let time_s = path.time_s(tick);
     let tip = path.tip(time_s);
     let true_ranges = probe.ranges_mm(vessel, &tip);
     let scale = noise.vessel_scale(time_s);
     let ranges = if scale == 1.0 {
         true_ranges.clone()
     } else {
-        let middle = path.centreline().at(path.station_mm(time_s)).0;
+        let middle = path.line(time_s).at(path.station_mm(time_s)).0;
         probe.ranges_in_scaled_mm(vessel, &tip, middle, scale)
     };
-    let mut of_frame = noise.of_frame(k);
+    let mut of_frame = noise.of_frame(tick);
     let tracked = of_frame.pose(&path.tip(time_s - noise.latency_s), drift);
     let true_cylinder = settings
         .cylinders
@@ -193,7 +221,7 @@ fn local_cylinder(
     tip: &Pose,
     (position, axis, radius): (DVec2, DVec2, f64),
 ) -> Option<CylinderModel> {
-    let centreline = path.centreline();
+    let centreline = path.line(time_s);
     let station = path.station_mm(time_s);
     let s = centreline.nearest_mm(tip.translation_mm, station, path.bending_length_mm());
     let local = tip.inverse() * centreline.frame(s);
