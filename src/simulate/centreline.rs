@@ -208,6 +208,13 @@ impl Centreline {
         self.inscribed_radius_mm[i] * (1.0 - u) + self.inscribed_radius_mm[i + 1] * u
     }
 
+    /// The median of the inscribed radii at the points, mm.
+    pub fn median_radius_mm(&self) -> f64 {
+        let mut radii = self.inscribed_radius_mm.clone();
+        radii.sort_by(f64::total_cmp);
+        radii[radii.len() / 2]
+    }
+
     /// How far along the curve its point nearest to `point_mm` lies, looking no further than `reach_mm` from
     /// `s_mm`.
     pub fn nearest_mm(&self, point_mm: DVec3, s_mm: f64, reach_mm: f64) -> f64 {
