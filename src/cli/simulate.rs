@@ -408,6 +408,20 @@ impl Summary<'_> {
             rounded(noise.rotation_sd_deg),
             rounded(noise.contour_sd_mm)
         );
+        let faults = &self.settings.faults;
+        let usual = Faults::default();
+        let groups = [
+            ("contour", faults.contour != usual.contour),
+            ("artefacts", faults.artefacts != usual.artefacts),
+            ("tracker", faults.tracker != usual.tracker),
+            ("calibration", faults.calibration != usual.calibration),
+            ("motion", faults.motion != usual.motion),
+            ("sampling", faults.sampling != usual.sampling),
+        ];
+        let groups: Vec<&str> = groups.iter().filter(|(_, set)| *set).map(|&(name, _)| name).collect();
+        if !groups.is_empty() {
+            println!("faults     {}; --json has their settings", groups.join(", "));
+        }
         if let Some(tracker) = self.tracker {
             println!(
                 "           position and rotation from {} poses of sensor {}",

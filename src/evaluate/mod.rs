@@ -6,11 +6,13 @@
 mod coverage;
 mod locator;
 mod region;
+mod systematic;
 mod volume;
 
 pub use coverage::Coverage;
 pub use locator::{Closest, Locator};
 pub use region::Region;
+pub use systematic::SystematicErrors;
 pub use volume::{Volumes, closed_volume_mm3};
 
 use crate::surface::Surface;

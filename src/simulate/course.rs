@@ -169,7 +169,8 @@ impl<'a> Course<'a> {
             burst(artefacts.burst, &mut contour_mm);
         }
         let within = |width_deg: f64, start_deg: f64, turn_deg_s: f64, angle_rad: f64| {
-            (angle_rad.to_degrees() - start_deg - turn_deg_s * time_s).rem_euclid(360.0) < width_deg
+            // A ray at the very beginning belongs to the sector in spite of rounding.
+            (angle_rad.to_degrees() - start_deg - turn_deg_s * time_s + 1e-9).rem_euclid(360.0) < width_deg
         };
         if artefacts.shadow_deg > 0.0 {
             let hidden = |angle| within(artefacts.shadow_deg, 120.0, artefacts.shadow_turn_deg_s, angle);

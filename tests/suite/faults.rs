@@ -1,7 +1,11 @@
 //! What is wrong with simulated recordings, measured.
 
 use glam::{DQuat, DVec2, DVec3};
+use lumenmesh::evaluate::{SystematicErrors, Truth, evaluate};
+use lumenmesh::geometry::Pose;
+use lumenmesh::reconstruction::Reconstructor;
 use lumenmesh::recording::{Frame, Recording};
+use lumenmesh::settings::Settings;
 use lumenmesh::simulate::{
     Artefacts, Burst, CalibrationFaults, ContourFaults, FaultKind, Faults, Insertion, Motion, Move, Noise,
     Phantom, PointOrder, Probe, Sampling, ShadowFill, Shape, Simulation, SimulationSettings, TrackerFaults,
@@ -260,6 +264,55 @@ fn wrong_calibrations_are_wrong_by_what_was_asked_for() {
             assert!(p.abs_diff_eq(*q * 1.05, 1e-9));
         }
     }
+}
+
+#[test]
+fn the_size_of_what_a_recording_cannot_show_is_that_of_the_error() {
+    let vessel = || Phantom::from("arch".parse::<Shape>().unwrap()).vessel().unwrap();
+    let base = || {
+        SimulationSettings::default()
+            .with_insertion(Insertion::steady().with_frame_rate_hz(6.0))
+            .with_noise(Noise::none())
+    };
+    let wall =
+        |recording: &Recording| Reconstructor::new(Settings::default()).run(recording).unwrap().surface();
+    let clean = Simulation::run(vessel(), &base()).unwrap();
+    let truth = Truth::new(clean.vessel.surface().clone()).unwrap();
+    let sizes =
+        SystematicErrors::of(&clean.recording, Pose::IDENTITY, &wall(&clean.recording)).unwrap().unwrap();
+    let moved = |calibration: CalibrationFaults| {
+        let settings = base().with_faults(Faults::default().with_calibration(calibration));
+        let recording = Simulation::run(vessel(), &settings).unwrap().recording;
+        // At its ends the wall reaches beyond the truth, or not so far.
+        let errors = evaluate(&wall(&recording), &truth).unwrap().error_mm;
+        let inner = &errors[errors.len() / 10..errors.len() * 9 / 10];
+        rms(inner)
+    };
+    let usual = CalibrationFaults::default;
+    let offset = |axis: usize, size: f64| {
+        let mut offset_mm = [0.0; 3];
+        offset_mm[axis] = size;
+        moved(usual().with_offset_mm(offset_mm))
+    };
+    for (found, predicted) in [
+        (offset(0, 1.0), sizes.offset_mm_per_mm[0]),
+        (offset(1, 1.0), sizes.offset_mm_per_mm[1]),
+        (moved(usual().with_rotation_deg([3.0, 0.0, 0.0])), 3.0 * sizes.rotation_mm_per_deg[0]),
+        (moved(usual().with_sound_speed(1.03)), 3.0 * sizes.sound_speed_mm_per_percent),
+    ] {
+        assert!(near(found, predicted, 0.1 * predicted + 0.02), "{found} mm, {predicted} mm predicted");
+    }
+    // Along the vessel and about its axis a round tube moves into itself.
+    assert!(sizes.offset_mm_per_mm[2] < 0.05 && sizes.rotation_mm_per_deg[2] < 0.01, "{sizes:?}");
+    assert!(near(sizes.offset_mm_per_mm[0], 0.5_f64.sqrt(), 0.05), "half of the wall faces x: {sizes:?}");
+    assert!(near(sizes.sound_speed_mm_per_percent, 0.1, 0.005), "1 % of 10 mm: {sizes:?}");
+    assert!(!near(offset(0, 2.0), sizes.offset_mm_per_mm[0], 0.1), "the comparer takes 2 mm for 1");
+    // A recording that has nothing to do with the wall says nothing.
+    let elsewhere =
+        Simulation::run(Phantom::from("frustum".parse::<Shape>().unwrap()).vessel().unwrap(), &base());
+    let mut elsewhere = elsewhere.unwrap().recording;
+    elsewhere.frames.iter_mut().for_each(|f| f.world_from_sensor.translation_mm.y += 500.0);
+    assert_eq!(SystematicErrors::of(&elsewhere, Pose::IDENTITY, clean.vessel.surface()).unwrap(), None);
 }
 
 #[test]
