@@ -22,6 +22,7 @@ mod demo;
 mod devices;
 mod evaluate;
 mod experiments;
+mod faults;
 mod import;
 mod info;
 mod interrupt;

@@ -1,8 +1,10 @@
+use super::faults::FaultArguments;
 use super::space::SpaceArgument;
 use super::vessel::VesselArguments;
 use super::{Shown, print_json, progress, refuse_inputs};
 use crate::simulate::{
-    Centreline, Insertion, Noise, Phantom, Probe, ReducedBend, Simulation, SimulationSettings, TrackerNoise,
+    Centreline, FaultKind, Faults, Insertion, Noise, Phantom, Probe, ReducedBend, Simulation,
+    SimulationSettings, TrackerNoise, Visit,
 };
 use crate::surface;
 use crate::{Error, Result};
@@ -16,6 +18,11 @@ use std::path::PathBuf;
   lumenmesh simulate --vessel small_arch --truth wall.vtp --truth-centreline middle.csv -o pullback.mat
   lumenmesh simulate --vessel cylinder --noise none --steady -o pullback.mat
   lumenmesh simulate --vessel aorta.stl --centreline aorta_centreline.csv --branch 1 -o recording/
+  lumenmesh simulate --vessel tree --branches 0,1,2,3 --truth-branches truth.csv -o recording/
+  lumenmesh simulate --vessel bifurcation --branches 0,1:80,0:5 --steady -o there_and_back/
+  lumenmesh simulate --list-faults
+  lumenmesh simulate --fault ring-down-turning,glitches -o recording/ --truth wall.vtp
+  lumenmesh simulate --shadow 60 --shadow-fill chord --sound-speed 1.03 -o recording/
   lumenmesh simulate --config simulation.toml --seed 7 -o recording/ --truth-recording truth/
   lumenmesh simulate --tracker-noise static_sensor.csv --sensor Reference -o recording/
 
@@ -24,8 +31,10 @@ A settings file:
   [vessel]
   edge_mm = 1.2
   shape.cylinder = { radius_mm = 12.0, length_mm = 100.0 }
+  # shape.tree = { levels = 3, daughter_ratio = 0.7, half_angle_deg = 35.0 }
   [insertion]
   repeat = true
+  # visits = [{ branch = 0 }, { branch = 1, to_mm = 60.0 }]
   moves = [{ advance = { distance_mm = 20.0 } }, { bend = { angle_deg = 30.0 } },
            { turn = { angle_deg = 360.0 } }, { bend = { angle_deg = 0.0 } }]
   [probe]
@@ -34,11 +43,21 @@ A settings file:
   [noise]
   seed = 1
   contour_sd_mm = 1.0
-  dropout_probability = 0.02")]
+  dropout_probability = 0.02
+  [faults]
+  contour = { smooth_sd_mm = 0.5, smooth_angle_deg = 30.0, smooth_time_s = 1.0 }
+  artefacts = { shadow_deg = 60.0, shadow_fill = \"chord\", burst_share = 0.05, burst = \"media\" }
+  tracker = { slow_position_sd_mm = 1.0, memory_s = 1.0, glitches = 3, rate_hz = 8.0 }
+  calibration = { offset_mm = [1.0, 0.0, 0.0], rotation_deg = [0.0, 3.0, 0.0], sound_speed = 1.03 }
+  motion = { breathing_mm = [2.0, 0.0, 1.0], heart_beat_mm = [0.5, 0.0, 0.0] }
+  sampling = { repeats = 5, point_order = \"shuffled\" }")]
 pub(super) struct Arguments {
     /// Recording to write: a .mat file, else a folder of CSV files
-    #[arg(short, long, value_name = "REC")]
-    output: PathBuf,
+    #[arg(short, long, value_name = "REC", required_unless_present = "list_faults")]
+    output: Option<PathBuf>,
+    /// Say what the errors are that --fault knows, and stop
+    #[arg(long)]
+    list_faults: bool,
     #[command(flatten)]
     vessel: VesselArguments,
     /// Also write the wall: .vtp, .ply, .stl, .obj or .mat
@@ -49,6 +68,9 @@ pub(super) struct Arguments {
     /// Also write the centrelines of its branches: CSV
     #[arg(long, value_name = "CSV")]
     truth_centreline: Option<PathBuf>,
+    /// Also write which branch the catheter is in in every frame, and where: CSV with frame, time_s, visit, branch, s_mm
+    #[arg(long, value_name = "CSV")]
+    truth_branches: Option<PathBuf>,
     /// Also write the recording without any noise
     #[arg(long, value_name = "REC")]
     truth_recording: Option<PathBuf>,
@@ -57,6 +79,8 @@ pub(super) struct Arguments {
     json: bool,
     #[command(flatten)]
     settings: SettingsArguments,
+    #[command(flatten)]
+    faults: FaultArguments,
 }
 
 /// The commonest settings as flags; a settings file has them all.
@@ -69,6 +93,12 @@ struct SettingsArguments {
     /// Go through this branch of the vessel, counted from 0 [default: 0]
     #[arg(long, value_name = "N")]
     branch: Option<usize>,
+    /// Visit several branches, each up to 5 mm before its end or to a length along it, mm
+    #[arg(long, value_name = "N[:MM],...", value_delimiter = ',', conflicts_with_all = ["branch", "end"])]
+    branches: Vec<Visit>,
+    /// Record while the catheter is withdrawn from one branch to the next, too [default: yes]
+    #[arg(long, value_name = "yes|no", value_parser = clap::builder::BoolishValueParser::new())]
+    record_withdrawals: Option<bool>,
     /// Only advance, without bending the tip
     #[arg(long)]
     steady: bool,
@@ -117,12 +147,18 @@ struct SettingsArguments {
     /// Drift of the tracked position, mm per square root of a second [default: 0]
     #[arg(long, value_name = "MM")]
     drift: Option<f64>,
+    /// Drift of the tracked orientation, degrees per square root of a second [default: 0]
+    #[arg(long, value_name = "DEG")]
+    rotation_drift: Option<f64>,
     /// How much older than its contour a pose is, s [default: 0]
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     latency: Option<f64>,
     /// How much the vessel widens with the heart, as a fraction [default: 0]
     #[arg(long, value_name = "FRACTION")]
     pulsation: Option<f64>,
+    /// Heart rate, Hz [default: 1.2]
+    #[arg(long, value_name = "HZ")]
+    heart_rate: Option<f64>,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -139,6 +175,7 @@ struct Config {
     insertion: Insertion,
     probe: Probe,
     noise: Noise,
+    faults: Faults,
     cylinders: bool,
 }
 
@@ -161,20 +198,33 @@ struct Summary<'a> {
     settings: &'a SimulationSettings,
     truth: Option<Shown<'a>>,
     truth_centreline: Option<Shown<'a>>,
+    truth_branches: Option<Shown<'a>>,
     truth_recording: Option<Shown<'a>>,
 }
 
 impl Arguments {
     pub(super) fn run(self) -> Result<()> {
+        let output = match (self.list_faults, &self.output) {
+            (false, Some(output)) => output,
+            // Without an output the command line asks for the list.
+            _ => {
+                for FaultKind { name, what, .. } in FaultKind::ALL {
+                    println!("{name:22} {what}");
+                }
+                println!("R is the median radius of the vessel along the first branch that is visited");
+                return Ok(());
+            }
+        };
         if let Some(path) = &self.truth {
             surface::check_ending(path)?;
         }
         let [surface, centreline] = self.vessel.inputs();
         refuse_inputs(
             [
-                Some(&*self.output),
+                Some(&**output),
                 self.truth.as_deref(),
                 self.truth_centreline.as_deref(),
+                self.truth_branches.as_deref(),
                 self.truth_recording.as_deref(),
             ],
             [surface, centreline, self.settings.config.as_deref(), self.settings.tracker_noise.as_deref()],
@@ -185,9 +235,12 @@ impl Arguments {
             insertion: config.insertion,
             probe: config.probe,
             noise: config.noise,
+            faults: config.faults,
             cylinders: config.cylinders,
         };
-        let tracker = self.settings.override_settings(&mut settings)?;
+        let tracker = self.settings.override_settings(&mut settings, &|settings| {
+            self.faults.apply(settings, &vessel);
+        })?;
 
         let bar = progress::bar("simulating frames", 0);
         let done = Simulation::run_and_tell(vessel, &settings, &|done, all| {
@@ -197,12 +250,15 @@ impl Arguments {
         bar.finish_and_clear();
         let simulation = done?;
 
-        simulation.recording.write(&self.output)?;
+        simulation.recording.write(output)?;
         if let Some(path) = &self.truth {
             self.space.write(simulation.vessel.surface(), path)?;
         }
         if let Some(path) = &self.truth_centreline {
             Centreline::write_branches(simulation.vessel.branches(), path)?;
+        }
+        if let Some(path) = &self.truth_branches {
+            simulation.write_places(path)?;
         }
         if let Some(path) = &self.truth_recording {
             simulation.truth_recording.write(path)?;
@@ -211,7 +267,7 @@ impl Arguments {
         let missing_echoes = frames.iter().map(|f| f.missing_echoes()).sum();
         let vessel = &simulation.vessel;
         let summary = Summary {
-            recording: Shown(&self.output),
+            recording: Shown(output),
             vessel: &name,
             triangles: vessel.surface().triangles.len(),
             branches: vessel.branches().len(),
@@ -230,6 +286,7 @@ impl Arguments {
             settings: &settings,
             truth: self.truth.as_deref().map(Shown),
             truth_centreline: self.truth_centreline.as_deref().map(Shown),
+            truth_branches: self.truth_branches.as_deref().map(Shown),
             truth_recording: self.truth_recording.as_deref().map(Shown),
         };
         if self.json {
@@ -252,14 +309,25 @@ impl SettingsArguments {
     }
 
     /// Overrides the settings by the flags; returns the measured noise of a tracker, if one was asked for.
-    fn override_settings(&self, settings: &mut SimulationSettings) -> Result<Option<TrackerNoise>> {
+    ///
+    /// `add_faults` comes after the levels of noise and before single values.
+    fn override_settings(
+        &self,
+        settings: &mut SimulationSettings,
+        add_faults: &dyn Fn(&mut SimulationSettings),
+    ) -> Result<Option<TrackerNoise>> {
         fn set<T: Copy>(field: &mut T, flag: Option<T>) {
             if let Some(value) = flag {
                 *field = value;
             }
         }
-        let SimulationSettings { insertion, probe, noise, cylinders } = settings;
+        let SimulationSettings { insertion, probe, noise, cylinders, .. } = &mut *settings;
         set(&mut insertion.branch, self.branch);
+        if !self.branches.is_empty() {
+            insertion.visits = self.branches.clone();
+            (insertion.branch, insertion.end_mm) = (0, None);
+        }
+        set(&mut insertion.record_withdrawals, self.record_withdrawals);
         if self.steady {
             insertion.moves = Insertion::steady().moves;
             insertion.repeat = true;
@@ -274,6 +342,8 @@ impl SettingsArguments {
             Some(Level::Thesis) => *noise = Noise { seed: noise.seed, ..Noise::default() },
             None => (),
         }
+        add_faults(settings);
+        let noise = &mut settings.noise;
         set(&mut noise.seed, self.seed);
         set(&mut noise.position_sd_mm, self.position_noise);
         set(&mut noise.rotation_sd_deg, self.rotation_noise);
@@ -281,8 +351,10 @@ impl SettingsArguments {
         set(&mut noise.dropout_probability, self.dropouts);
         set(&mut noise.spike_probability, self.spikes);
         set(&mut noise.position_drift_mm_per_sqrt_s, self.drift);
+        set(&mut noise.rotation_drift_deg_per_sqrt_s, self.rotation_drift);
         set(&mut noise.latency_s, self.latency);
         set(&mut noise.pulsation_fraction, self.pulsation);
+        set(&mut noise.pulsation_rate_hz, self.heart_rate);
         let Some(path) = &self.tracker_noise else {
             return Ok(None);
         };
@@ -299,14 +371,22 @@ impl Summary<'_> {
         for repair in self.repairs {
             println!("           {repair}");
         }
-        println!(
-            "insertion  branch {} (of {}), {:.1} mm long, from {:.1} to {:.1} mm",
-            insertion.branch,
-            self.branches,
-            self.branch_length_mm,
-            insertion.start_mm,
-            insertion.end_in_mm(self.branch_length_mm)
-        );
+        if insertion.visits.is_empty() {
+            println!(
+                "insertion  branch {} (of {}), {:.1} mm long, from {:.1} to {:.1} mm",
+                insertion.branch,
+                self.branches,
+                self.branch_length_mm,
+                insertion.start_mm,
+                insertion.end_in_mm(self.branch_length_mm)
+            );
+        } else {
+            let visits = insertion.visits.iter().map(|visit| match visit.to_mm {
+                None => visit.branch.to_string(),
+                Some(to) => format!("{} up to {to} mm", visit.branch),
+            });
+            println!("insertion  branches {} (of {})", visits.collect::<Vec<_>>().join(", "), self.branches);
+        }
         if let Some(least) = self.reduced_bends.iter().min_by(|a, b| a.used_deg.total_cmp(&b.used_deg)) {
             println!(
                 "           {} bends reduced to keep the tip in the lumen, the most at {:.0} mm: {}° to {:.1}°",
@@ -328,6 +408,20 @@ impl Summary<'_> {
             rounded(noise.rotation_sd_deg),
             rounded(noise.contour_sd_mm)
         );
+        let faults = &self.settings.faults;
+        let usual = Faults::default();
+        let groups = [
+            ("contour", faults.contour != usual.contour),
+            ("artefacts", faults.artefacts != usual.artefacts),
+            ("tracker", faults.tracker != usual.tracker),
+            ("calibration", faults.calibration != usual.calibration),
+            ("motion", faults.motion != usual.motion),
+            ("sampling", faults.sampling != usual.sampling),
+        ];
+        let groups: Vec<&str> = groups.iter().filter(|(_, set)| *set).map(|&(name, _)| name).collect();
+        if !groups.is_empty() {
+            println!("faults     {}; --json has their settings", groups.join(", "));
+        }
         if let Some(tracker) = self.tracker {
             println!(
                 "           position and rotation from {} poses of sensor {}",
@@ -340,6 +434,9 @@ impl Summary<'_> {
         }
         if let Some(path) = &self.truth_centreline {
             println!("centreline {}", path.display());
+        }
+        if let Some(path) = &self.truth_branches {
+            println!("branches   {}", path.display());
         }
         if let Some(path) = &self.truth_recording {
             println!("truth      {}", path.display());

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args)]
 pub(super) struct VesselArguments {
     /// A phantom (aorta, cylinder, frustum, arch, small_arch, stenosis, aneurysm, ellipse,
-    /// bifurcation, side_branch) or a surface file in mm
+    /// bifurcation, side_branch, tree, deep_tree) or a surface file in mm
     /// (.vtp, .ply, .stl, .obj, .vtk, .vtu) [default: aorta]
     #[arg(long, value_name = "NAME|SURFACE")]
     vessel: Option<String>,

@@ -7,9 +7,10 @@ use super::rows::{VIOLIN, facts};
 use super::{anatomy, cylinders, sweep};
 use crate::Result;
 use crate::anatomy::VesselTree;
-use crate::evaluate::{self, Evaluation, Truth};
+use crate::evaluate::{self, Evaluation, SystematicErrors, Truth};
 use crate::reconstruction::{Lumen, LumenReport};
 use crate::recording::{LeftOut, MinMedianMax, Recording, Summary};
+use crate::surface::Surface;
 
 /// The content of a page.
 #[non_exhaustive]
@@ -109,6 +110,7 @@ pub fn html(content: &PageContent) -> Result<String> {
         sweep::coverage(&mut page, sweep)?;
         sweep::noise(&mut page, sweep)?;
     }
+    systematic(&mut page, content, &mesh)?;
     page.heading("Settings");
     page.listing(&content.lumen.settings().to_toml()?);
     page.heading("How to reproduce");
@@ -166,6 +168,41 @@ fn summary(page: &mut Page, content: &PageContent) {
             page.listing(&finding.to_string());
         }
     }
+}
+
+/// What the recording cannot show: how far a wrong calibration would move the wall.
+fn systematic(page: &mut Page, content: &PageContent, mesh: &Surface) -> Result<()> {
+    let settings = content.lumen.settings();
+    let mut used = settings.conventions.apply(content.recording).into_owned();
+    for left_out in &content.lumen.screening().left_out {
+        used.frames[left_out.frame].contour_mm.clear();
+    }
+    let Some(errors) = SystematicErrors::of(&used, settings.calibration.sensor_from_probe(), mesh)? else {
+        return Ok(());
+    };
+    page.heading("What the recording cannot show");
+    page.paragraph(
+        "An error of the probe's calibration or of the assumed speed of sound moves the wall and leaves no trace in the \
+         residuals or in the standard errors. It would move the wall by so much outward or inward (root mean square over the \
+         nodes):",
+    );
+    let [x, y, z] = errors.offset_mm_per_mm.map(|mm| format!("{mm:.2} mm"));
+    let [roll_x, roll_y, roll_z] = errors.rotation_mm_per_deg.map(|mm| format!("{mm:.3} mm"));
+    page.table(&Table {
+        head: ["", "x", "y", "z"].map(String::from).to_vec(),
+        rows: vec![
+            vec!["probe 1 mm aside along its".into(), x, y, z],
+            vec!["probe turned by 1° about its".into(), roll_x, roll_y, roll_z],
+            vec![
+                "speed of sound wrong by 1 %".into(),
+                format!("{:.3} mm", errors.sound_speed_mm_per_percent),
+                String::new(),
+                String::new(),
+            ],
+        ],
+        ..Table::default()
+    });
+    Ok(())
 }
 
 /// Runs of frames that are left out for the same reason.

@@ -1,6 +1,8 @@
 //! Walls of vessels that branch: the union of round tubes, with fillets where they meet.
 
+use super::vessel::drop_unused_nodes;
 use crate::surface::Surface;
+use crate::{Error, Result};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -9,11 +11,24 @@ use std::collections::HashMap;
 pub(super) struct Limb {
     pub middle_mm: Vec<DVec3>,
     pub radius_mm: f64,
+    /// A ball that holds the middle.
+    ball_centre_mm: DVec3,
+    ball_radius_mm: f64,
 }
 
 impl Limb {
-    /// Distance from a point to the tube's wall, mm; negative inside.
+    pub fn new(middle_mm: Vec<DVec3>, radius_mm: f64) -> Self {
+        let ball_centre_mm = middle_mm.iter().sum::<DVec3>() / middle_mm.len().max(1) as f64;
+        let ball_radius_mm = middle_mm.iter().map(|p| p.distance(ball_centre_mm)).fold(0.0, f64::max);
+        Self { middle_mm, radius_mm, ball_centre_mm, ball_radius_mm }
+    }
+
+    /// Distance from a point to the tube's wall, mm; negative inside. Farther than [`FAR_MM`] from it, less is returned.
     fn distance_mm(&self, p: DVec3) -> f64 {
+        let at_least_mm = p.distance(self.ball_centre_mm) - self.ball_radius_mm - self.radius_mm;
+        if at_least_mm > FAR_MM {
+            return at_least_mm;
+        }
         let to_piece = |pair: &[DVec3]| {
             let (along, from) = (pair[1] - pair[0], p - pair[0]);
             let t = (from.dot(along) / along.length_squared()).clamp(0.0, 1.0);
@@ -23,6 +38,9 @@ impl Limb {
         nearest.sqrt() - self.radius_mm
     }
 }
+
+/// A tube farther away than this, mm, has no part in the wall: more than the longest edge, and a fillet.
+const FAR_MM: f64 = 25.0;
 
 /// Distance from a point to the wall of the union, mm; negative inside.
 ///
@@ -43,7 +61,11 @@ const FILLET_MM: f64 = 2.0;
 /// Marching tetrahedra: every cell of a lattice is split into six about its diagonal, alike in all cells, so that the
 /// triangles of neighbours fit. A. Doi, A. Koide, *An efficient method of triangulating equi-valued surfaces by using
 /// tetrahedral cells*, IEICE Transactions 74(1), 1991.
-pub(super) fn wall(limbs: &[Limb], low_mm: DVec3, high_mm: DVec3, edge_mm: f64) -> Surface {
+///
+/// # Errors
+/// [`Error::Setting`] for edges so short that the wall does not fit in memory.
+pub(super) fn wall(limbs: &[Limb], low_mm: DVec3, high_mm: DVec3, edge_mm: f64) -> Result<Surface> {
+    not_too_fine(edge_mm, ((high_mm - low_mm) / edge_mm).element_product())?;
     let cells = ((high_mm - low_mm) / edge_mm).ceil().max(DVec3::ONE).as_u64vec3();
     let step = (high_mm - low_mm) / cells.as_dvec3();
     let lattice = cells + 1;
@@ -73,6 +95,10 @@ pub(super) fn wall(limbs: &[Limb], low_mm: DVec3, high_mm: DVec3, edge_mm: f64) 
     for k in 0..cells.z {
         for j in 0..cells.y {
             for i in 0..cells.x {
+                let corner = |n: u64| field[at(i + (n & 1), j + (n >> 1 & 1), k + (n >> 2)) as usize] < 0.0;
+                if (1..8).all(|n| corner(n) == corner(0)) {
+                    continue;
+                }
                 for path in DIAGONAL_PATHS {
                     // From the cell's lowest corner to its highest, one axis after the other.
                     let mut corner = [i, j, k];
@@ -110,7 +136,76 @@ pub(super) fn wall(limbs: &[Limb], low_mm: DVec3, high_mm: DVec3, edge_mm: f64) 
             }
         }
     }
-    surface
+    Ok(surface)
+}
+
+/// Refuses edges so short that the wall does not fit in memory.
+pub(super) fn not_too_fine(edge_mm: f64, pieces: f64) -> Result<()> {
+    const MAX_PIECES: f64 = 3e7;
+    if pieces <= MAX_PIECES {
+        return Ok(());
+    }
+    Err(Error::Setting {
+        name: "vessel.edge_mm".into(),
+        found: format!("{edge_mm}, which makes {pieces:.0} pieces"),
+        expected: format!("longer edges, at most {MAX_PIECES:.0} pieces"),
+    })
+}
+
+/// Where a tube ends: what lies beyond, within `reach_mm` of it, is no part of the vessel.
+pub(super) struct End {
+    pub middle_mm: DVec3,
+    pub onward: DVec3,
+    pub reach_mm: f64,
+}
+
+/// Opens the wall at an end, where the tube is straight.
+pub(super) fn open(surface: &mut Surface, end: &End, edge_mm: f64) {
+    // How far beyond the end a node lies. Nodes beside it are moved into it, so that no triangle shrinks to nothing: a
+    // straight tube has its wall there too.
+    let mut beyond_mm: Vec<f64> = Vec::with_capacity(surface.nodes_mm.len());
+    for p in &mut surface.nodes_mm {
+        let way = *p - end.middle_mm;
+        let along = way.dot(end.onward);
+        beyond_mm.push(if way.length() > end.reach_mm {
+            f64::NEG_INFINITY
+        } else if along.abs() < 0.05 * edge_mm {
+            *p -= end.onward * along;
+            0.0
+        } else {
+            along
+        });
+    }
+    let mut crossings: HashMap<(u32, u32), u32> = HashMap::new();
+    let mut kept = Vec::with_capacity(surface.triangles.len());
+    for triangle in std::mem::take(&mut surface.triangles) {
+        let beyond = triangle.map(|n| beyond_mm[n as usize]);
+        if beyond.iter().all(|&b| b <= 0.0) {
+            kept.push(triangle);
+            continue;
+        }
+        let mut corners: Vec<u32> = Vec::with_capacity(4);
+        for i in 0..3 {
+            let (a, b) = (triangle[i], triangle[(i + 1) % 3]);
+            let (from, to) = (beyond[i], beyond[(i + 1) % 3]);
+            if from <= 0.0 {
+                corners.push(a);
+            }
+            if (from < 0.0 && to > 0.0) || (from > 0.0 && to < 0.0) {
+                corners.push(*crossings.entry((a.min(b), a.max(b))).or_insert_with_key(|&(a, b)| {
+                    let [(p, from), (q, to)] =
+                        [a, b].map(|n| (surface.nodes_mm[n as usize], beyond_mm[n as usize]));
+                    surface.nodes_mm.push(p.lerp(q, from / (from - to)));
+                    (surface.nodes_mm.len() - 1) as u32
+                }));
+            }
+        }
+        if beyond.iter().any(|&b| b < 0.0) {
+            kept.extend((2..corners.len()).map(|i| [corners[0], corners[i - 1], corners[i]]));
+        }
+    }
+    surface.triangles = kept;
+    drop_unused_nodes(surface);
 }
 
 /// The orders in which the three axes lead from one end of a cell's diagonal to the other.
@@ -122,9 +217,9 @@ mod tests {
 
     #[test]
     fn a_single_straight_limb_is_a_cylinder_open_at_both_ends() {
-        let limb = Limb { middle_mm: vec![DVec3::Z * -20.0, DVec3::Z * 60.0], radius_mm: 8.0 };
+        let limb = Limb::new(vec![DVec3::Z * -20.0, DVec3::Z * 60.0], 8.0);
         let (low, high) = (DVec3::new(-10.0, -10.0, 0.0), DVec3::new(10.0, 10.0, 40.0));
-        let surface = wall(&[limb], low, high, 1.0);
+        let surface = wall(&[limb], low, high, 1.0).unwrap();
         let topology = surface.topology();
         assert!(topology.is_oriented_manifold());
         assert_eq!((topology.components, topology.boundary_loops, topology.euler_characteristic), (1, 2, 0));

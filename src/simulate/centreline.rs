@@ -32,6 +32,20 @@ impl Centreline {
     /// [`Error::Surface`] for fewer than two points, lists of different lengths, values that are not finite,
     /// radii that are not positive and neighbours that coincide.
     pub fn new(points_mm: Vec<DVec3>, inscribed_radius_mm: Vec<f64>) -> Result<Self> {
+        let length = polyline::lengths(&points_mm).last().copied().unwrap_or_default();
+        // Fine enough for the turn between two frames to be small, and no more frames than 25 m of vessel need, whatever
+        // the coordinates in a file are.
+        let steps = (length / 0.25).ceil().clamp(1.0, MAX_FRAME_STEPS) as usize;
+        Self::with_frame_step_mm(points_mm, inscribed_radius_mm, length / steps as f64)
+    }
+
+    /// As [`Centreline::new`], with frames at the steps of another curve: where two curves begin with the same points,
+    /// they have the same frames too.
+    pub(super) fn with_frame_step_mm(
+        points_mm: Vec<DVec3>,
+        inscribed_radius_mm: Vec<f64>,
+        frame_step_mm: f64,
+    ) -> Result<Self> {
         if points_mm.len() < 2 || inscribed_radius_mm.len() != points_mm.len() {
             return Err(broken(
                 "centreline".into(),
@@ -64,12 +78,9 @@ impl Centreline {
             arc_length_mm,
             inscribed_radius_mm,
             frames: Vec::new(),
-            frame_step_mm: 0.0,
+            frame_step_mm,
         };
-        // Fine enough for the turn between two frames to be small, and no more frames than 25 m of vessel need, whatever
-        // the coordinates in a file are.
-        let steps = (length / 0.25).ceil().clamp(1.0, 1e5) as usize;
-        line.frame_step_mm = length / steps as f64;
+        let steps = (length / frame_step_mm).round().clamp(1.0, MAX_FRAME_STEPS) as usize;
         let (points, tangents): (Vec<_>, Vec<_>) =
             (0..=steps).map(|i| line.at(i as f64 * line.frame_step_mm)).unzip();
         line.frames = rotation_minimising_frames(&points, &tangents);
@@ -127,6 +138,11 @@ impl Centreline {
             }
             table.flush()
         })
+    }
+
+    /// How far apart frames are along the curve, mm.
+    pub(super) fn frame_step_mm(&self) -> f64 {
+        self.frame_step_mm
     }
 
     /// The points that the curve passes through, mm.
@@ -192,6 +208,13 @@ impl Centreline {
         self.inscribed_radius_mm[i] * (1.0 - u) + self.inscribed_radius_mm[i + 1] * u
     }
 
+    /// The median of the inscribed radii at the points, mm.
+    pub fn median_radius_mm(&self) -> f64 {
+        let mut radii = self.inscribed_radius_mm.clone();
+        radii.sort_by(f64::total_cmp);
+        radii[radii.len() / 2]
+    }
+
     /// How far along the curve its point nearest to `point_mm` lies, looking no further than `reach_mm` from
     /// `s_mm`.
     pub fn nearest_mm(&self, point_mm: DVec3, s_mm: f64, reach_mm: f64) -> f64 {
@@ -213,6 +236,9 @@ impl Centreline {
         self.arc_length_mm.partition_point(|&s| s <= s_mm).clamp(1, self.arc_length_mm.len() - 1) - 1
     }
 }
+
+/// The most frames along a curve.
+const MAX_FRAME_STEPS: f64 = 1e5;
 
 /// Derivatives at the points of the parabola through each point and its two neighbours.
 fn slopes(points: &[DVec3], chords: &[f64]) -> Vec<DVec3> {

@@ -23,7 +23,8 @@ pub enum ContourNoise {
     Radial,
 }
 
-/// The faults of tracker, probe and patient, all from one seed.
+/// Noise that is independent from ray to ray and from frame to frame, and the simplest faults, all from one seed;
+/// [`Faults`](super::Faults) has the others.
 ///
 /// Every frame has its own stream of random numbers, in which every fault has its own place: neither the number
 /// of threads nor switching one fault on changes what another one does.
@@ -159,7 +160,7 @@ impl Noise {
         FrameNoise { noise: self, rng: self.stream(frame as u64) }
     }
 
-    fn stream(&self, stream: u64) -> ChaCha8Rng {
+    pub(super) fn stream(&self, stream: u64) -> ChaCha8Rng {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(stream);
         rng
@@ -212,7 +213,7 @@ impl FrameNoise<'_> {
     }
 }
 
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
+pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
@@ -220,6 +221,6 @@ fn normal2(rng: &mut ChaCha8Rng) -> DVec2 {
     DVec2::new(normal(rng), normal(rng))
 }
 
-fn normal3(rng: &mut ChaCha8Rng) -> DVec3 {
+pub(super) fn normal3(rng: &mut ChaCha8Rng) -> DVec3 {
     DVec3::new(normal(rng), normal(rng), normal(rng))
 }

@@ -2,12 +2,14 @@
 
 use super::branching::{self, Limb};
 use super::centreline::Centreline;
+use super::curve::Curve;
+use super::tree::Tree;
 use super::vessel::SimulatedVessel;
 use super::within;
 use crate::setters::setters;
 use crate::surface::Surface;
 use crate::{Error, Result};
-use glam::{DMat3, DQuat, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::str::FromStr;
@@ -123,11 +125,13 @@ pub enum Shape {
         /// radius and a quarter of this length away from the trunk's middle.
         length_mm: f64,
     },
+    /// A straight round tube that parts into two of unequal size, which part again, over one to three levels.
+    Tree(Tree),
 }
 
 impl Shape {
     /// The names that [`Shape::from_str`] knows.
-    pub const NAMES: [&str; 10] = [
+    pub const NAMES: [&str; 12] = [
         "aorta",
         "cylinder",
         "frustum",
@@ -138,6 +142,8 @@ impl Shape {
         "ellipse",
         "bifurcation",
         "side_branch",
+        "tree",
+        "deep_tree",
     ];
 
     /// The shape's name.
@@ -152,6 +158,7 @@ impl Shape {
             Shape::Ellipse { .. } => "ellipse",
             Shape::Bifurcation { .. } => "bifurcation",
             Shape::SideBranch { .. } => "side_branch",
+            Shape::Tree(_) => "tree",
         }
     }
 }
@@ -194,6 +201,8 @@ impl FromStr for Shape {
                 angle_deg: 60.0,
                 length_mm: 100.0,
             },
+            "tree" => Shape::Tree(Tree::default()),
+            "deep_tree" => Shape::Tree(Tree::default().with_levels(3)),
             other => {
                 return Err(Error::Setting {
                     name: "vessel.shape".into(),
@@ -218,11 +227,17 @@ impl Phantom {
     /// [`Error::Setting`] where [`Phantom::validate`] refuses the dimensions.
     pub fn vessel(&self) -> Result<SimulatedVessel> {
         self.validate()?;
+        if let Shape::Tree(tree) = &self.shape {
+            return tree.vessel(self.edge_mm);
+        }
         if let Some(branching) = self.branching() {
             return branching.vessel(self.edge_mm);
         }
         // No shape is wider than its widest radius all along.
-        not_too_fine(self.edge_mm, TAU * self.widest_mm() * self.length_mm() / self.edge_mm.powi(2))?;
+        branching::not_too_fine(
+            self.edge_mm,
+            TAU * self.widest_mm() * self.length_mm() / self.edge_mm.powi(2),
+        )?;
         let curve = Curve::integrate(self.length_mm(), |s| self.curvature(s));
         SimulatedVessel::new(self.wall(&curve), vec![self.centreline(&curve)?])
     }
@@ -277,6 +292,7 @@ impl Phantom {
                 within("vessel.shape.angle_deg", *angle_deg, 45.0, 90.0)?;
                 within("vessel.shape.length_mm", *length_mm, 8.0 * trunk_radius_mm, 2000.0)
             }
+            Shape::Tree(tree) => tree.validate(),
             Shape::Ellipse { start_half_axes_mm, end_half_axes_mm, length_mm } => {
                 for axis in start_half_axes_mm {
                     radius("vessel.shape.start_half_axes_mm", *axis)?;
@@ -301,6 +317,7 @@ impl Phantom {
             | Shape::Ellipse { length_mm, .. }
             | Shape::Bifurcation { length_mm, .. }
             | Shape::SideBranch { length_mm, .. } => *length_mm,
+            Shape::Tree(tree) => tree.length_mm(),
         }
     }
 
@@ -349,6 +366,7 @@ impl Phantom {
             }
             Shape::Bifurcation { parent_radius_mm: radius, .. }
             | Shape::SideBranch { trunk_radius_mm: radius, .. } => *radius,
+            Shape::Tree(tree) => tree.root_radius_mm,
         }
     }
 
@@ -426,10 +444,10 @@ impl Phantom {
                 };
                 Some(Branching {
                     branches: vec![daughter(angle), daughter(-angle)],
-                    trunk: Some(Limb {
-                        middle_mm: vec![DVec3::Z * -2.0 * parent_radius_mm, DVec3::Z * 0.55 * length_mm],
-                        radius_mm: parent_radius_mm,
-                    }),
+                    trunk: Some(Limb::new(
+                        vec![DVec3::Z * -2.0 * parent_radius_mm, DVec3::Z * 0.55 * length_mm],
+                        parent_radius_mm,
+                    )),
                     cut_z_mm: length_mm,
                     cut_x_mm: f64::INFINITY,
                 })
@@ -458,7 +476,7 @@ impl Branching {
             // Round ends lie beyond the cuts.
             let before = DVec3::Z * -2.0 * radius_mm;
             let middle_mm = std::iter::once(before).chain(curve.points.iter().copied().step_by(40)).collect();
-            limbs.push(Limb { middle_mm, radius_mm: *radius_mm });
+            limbs.push(Limb::new(middle_mm, *radius_mm));
         }
         let centreline = |(curve, _): &(Curve, f64)| {
             let points: Vec<DVec3> =
@@ -476,22 +494,8 @@ impl Branching {
         }
         let low = low.with_z(0.0);
         let high = high.min(DVec3::new(self.cut_x_mm, f64::INFINITY, self.cut_z_mm));
-        not_too_fine(edge_mm, ((high - low) / edge_mm).element_product())?;
-        SimulatedVessel::new(branching::wall(&limbs, low, high, edge_mm), centrelines)
+        SimulatedVessel::new(branching::wall(&limbs, low, high, edge_mm)?, centrelines)
     }
-}
-
-/// Refuses edges so short that the wall does not fit in memory.
-fn not_too_fine(edge_mm: f64, pieces: f64) -> Result<()> {
-    const MAX_PIECES: f64 = 3e7;
-    if pieces <= MAX_PIECES {
-        return Ok(());
-    }
-    Err(Error::Setting {
-        name: "vessel.edge_mm".into(),
-        found: format!("{edge_mm}, which makes {pieces:.0} pieces"),
-        expected: format!("longer edges, at most {MAX_PIECES:.0} pieces"),
-    })
 }
 
 /// 0 up to 0, 1 from 1 on, with continuous slope.
@@ -499,55 +503,9 @@ fn smooth_step(x: f64) -> f64 {
     0.5 - 0.5 * (PI * x.clamp(0.0, 1.0)).cos()
 }
 
-/// A curve from its curvature, with rotation-minimising frames: turning the frame only about axes across the
-/// tangent is what makes it so.
-struct Curve {
-    step_mm: f64,
-    points: Vec<DVec3>,
-    frames: Vec<DMat3>,
-}
-
-impl Curve {
-    fn integrate(length_mm: f64, curvature: impl Fn(f64) -> DVec2) -> Self {
-        let steps = (length_mm / 0.05).ceil() as usize;
-        let h = length_mm / steps as f64;
-        let (mut point, mut frame) = (DVec3::ZERO, DMat3::IDENTITY);
-        let (mut points, mut frames) = (vec![point], vec![frame]);
-        for i in 0..steps {
-            let k = curvature((i as f64 + 0.5) * h);
-            let turn =
-                |length: f64| DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(-k.y, k.x, 0.0) * length));
-            // Over a step of constant curvature the chord has the direction of the middle's tangent.
-            let half = 0.5 * h * k.length();
-            let chord = if half > 1e-9 { half.sin() / half * h } else { h };
-            point += (frame * turn(0.5 * h)).z_axis * chord;
-            frame *= turn(h);
-            points.push(point);
-            frames.push(frame);
-        }
-        Self { step_mm: h, points, frames }
-    }
-
-    /// The point at `s_mm` and the frame of the step nearest to it. The straight way on from that step is at most
-    /// half a step long, so the point errs by less than 1e-4 mm on any curve that a phantom has.
-    fn at(&self, s_mm: f64) -> (DVec3, DMat3) {
-        let i = ((s_mm / self.step_mm).round() as usize).min(self.points.len() - 1);
-        let frame = self.frames[i];
-        (self.points[i] + frame.z_axis * (s_mm - i as f64 * self.step_mm), frame)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_curve_of_constant_curvature_is_a_circle() {
-        let curve = Curve::integrate(35.0 * PI, |_| DVec2::new(1.0 / 35.0, 0.0));
-        let (end, frame) = curve.at(35.0 * PI);
-        assert!(end.abs_diff_eq(DVec3::new(70.0, 0.0, 0.0), 1e-9), "{end}");
-        assert!(frame.z_axis.abs_diff_eq(-DVec3::Z, 1e-9));
-    }
 
     #[test]
     fn every_name_makes_a_vessel_that_needs_no_repair() {

@@ -47,9 +47,14 @@ impl Probe {
         within("probe.range_mm", self.range_mm, 0.1, 1000.0)
     }
 
+    /// Direction of a ray in the probe's plane, from x towards y, rad.
+    pub fn angle_rad(&self, ray: usize) -> f64 {
+        ray as f64 / self.rays as f64 * TAU
+    }
+
     /// Unit direction of a ray in the probe's plane.
     pub fn direction(&self, ray: usize) -> DVec2 {
-        DVec2::from_angle(ray as f64 / self.rays as f64 * TAU)
+        DVec2::from_angle(self.angle_rad(ray))
     }
 
     /// Distance to the wall along each ray, mm; NaN: no wall within range.

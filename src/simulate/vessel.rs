@@ -236,7 +236,8 @@ fn orient(surface: &mut Surface, notes: &mut Vec<String>) {
     }
 }
 
-fn drop_unused_nodes(surface: &mut Surface) {
+/// Drops the nodes that no triangle uses.
+pub(super) fn drop_unused_nodes(surface: &mut Surface) {
     let mut used = vec![false; surface.nodes_mm.len()];
     surface.triangles.iter().flatten().for_each(|&n| used[n as usize] = true);
     let mut next = 0;

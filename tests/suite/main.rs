@@ -19,6 +19,8 @@ mod evaluate_command;
 #[cfg(feature = "cli")]
 mod experiments;
 #[cfg(feature = "cli")]
+mod faults;
+#[cfg(feature = "cli")]
 mod flow;
 mod golden;
 #[cfg(feature = "cli")]

@@ -5,7 +5,7 @@ use glam::{DQuat, DVec3};
 use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::simulate::{
     Centreline, ContourNoise, Insertion, Move, Noise, Phantom, Probe, Shape, SimulatedVessel, Simulation,
-    SimulationSettings, TrackerNoise,
+    SimulationSettings, TrackerNoise, Tree, Visit,
 };
 use lumenmesh::surface::Surface;
 use parry3d_f64::query::PointQuery;
@@ -444,6 +444,259 @@ fn every_shared_vessel_can_be_simulated_in() {
     }
 }
 
+/// A vessel of the shared data with all its centrelines; `None` where the data are not at hand.
+fn shared_vessel(name: &str) -> Option<SimulatedVessel> {
+    let (surface, centreline) =
+        (shared(&format!("data/{name}.stl"))?, shared(&format!("data/{name}_centreline.csv"))?);
+    let branches = Centreline::read_branches(&centreline).unwrap();
+    Some(SimulatedVessel::new(Surface::read(&surface).unwrap(), branches).unwrap())
+}
+
+/// The first thing that is wrong with a noise-free recording of several branches: an echo off the wall, a jump, or a label
+/// that does not lie on the branch that it names.
+fn fault_of_a_route(simulation: &Simulation, step_mm: f64, turn_deg: f64) -> Option<String> {
+    let vessel = &simulation.vessel;
+    let frames = &simulation.recording.frames;
+    let rate_hz =
+        1.0 / frames.windows(2).map(|f| f[1].time_s.unwrap() - f[0].time_s.unwrap()).fold(9.9, f64::min);
+    for (k, (frame, place)) in frames.iter().zip(&simulation.places).enumerate() {
+        let tip = frame.world_from_sensor;
+        for p in frame.echoes_mm().step_by(7) {
+            let off = vessel.distance_mm(tip.transform_point(p.extend(0.0)));
+            if off > 1e-9 {
+                return Some(format!("frame {k}: an echo {off} mm off the wall"));
+            }
+        }
+        if frame.missing_echoes() * 2 > frame.contour_mm.len() {
+            return Some(format!("frame {k}: {} echoes are missing", frame.missing_echoes()));
+        }
+        let line = &vessel.branches()[place.branch];
+        let (middle, tangent) = line.at(place.s_mm);
+        let radius = line.inscribed_radius_at_mm(place.s_mm);
+        let off = middle.distance(tip.translation_mm);
+        if off > 0.3 * radius || tangent.dot(tip.rotation.z_axis) < 0.7 {
+            return Some(format!("frame {k}: {place:?} is {off} mm from the tip, of a radius of {radius}"));
+        }
+        let Some(next) = frames.get(k + 1) else { break };
+        let ticks = (next.time_s.unwrap() - frame.time_s.unwrap()) * rate_hz;
+        if ticks > 1.5 {
+            continue;
+        }
+        let moved = tip.translation_mm.distance(next.world_from_sensor.translation_mm);
+        let turned = tip.turn_rad(&next.world_from_sensor).to_degrees();
+        if moved > step_mm || turned > turn_deg {
+            return Some(format!("frame {k}: a jump of {moved} mm and {turned}° at {place:?}"));
+        }
+    }
+    None
+}
+
+/// Steady visits at 2 mm a frame.
+fn visiting(visits: &[&str]) -> Insertion {
+    Insertion::steady()
+        .with_visits(visits.iter().map(|v| v.parse().unwrap()).collect())
+        .with_frame_rate_hz(2.4)
+        .with_speed_mm_s(2.4)
+}
+
+#[test]
+fn a_route_through_branches_is_smooth_and_its_labels_are_right() {
+    let mut vessels: Vec<(&str, SimulatedVessel)> =
+        ["bifurcation", "side_branch", "tree", "deep_tree"].map(|name| (name, phantom(name))).into();
+    for name in
+        ["aorta_arch_coarctation_bpm120", "aorto_iliac_bifurcation_vmtk", "coronary_tree_phantom_vukicevic"]
+    {
+        vessels.extend(shared_vessel(name).map(|vessel| (name, vessel)));
+    }
+    for (name, vessel) in vessels {
+        let branches: Vec<usize> = (0..vessel.branches().len()).collect();
+        let back: Vec<usize> = branches.iter().rev().copied().collect();
+        for order in [branches, back] {
+            let visits = order.iter().map(|&branch| Visit::new(branch, None)).collect();
+            let insertion = visiting(&[]).with_visits(visits);
+            let simulation = Simulation::run(vessel.clone(), &noise_free(insertion)).unwrap();
+            // 1 mm a frame; the tightest way, into the smallest branch of a coronary tree, turns by 40° over its radius.
+            assert_eq!(fault_of_a_route(&simulation, 1.01, 40.0), None, "{name} {order:?}");
+            // Every branch is reached up to 5 mm before its end, and labelled.
+            for (visit, &branch) in order.iter().enumerate() {
+                let deepest = simulation.places.iter().filter(|p| p.visit == visit && p.branch == branch);
+                let deepest = deepest.map(|p| p.s_mm).fold(0.0, f64::max);
+                let end = vessel.branches()[branch].length_mm() - 5.0;
+                assert!((end - 1.0..end + 1e-6).contains(&deepest), "{name} {branch}: {deepest} of {end} mm");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_comparer_of_routes_notices_what_is_wrong() {
+    let visits = visiting(&["0", "1"]);
+    let sound = Simulation::run(phantom("bifurcation"), &noise_free(visits.clone())).unwrap();
+    assert_eq!(fault_of_a_route(&sound, 1.01, 10.0), None);
+    let fault = |damage: &dyn Fn(&mut Simulation)| {
+        let mut simulation = sound.clone();
+        damage(&mut simulation);
+        fault_of_a_route(&simulation, 1.01, 10.0).unwrap_or_default()
+    };
+    let off = fault(&|s| s.recording.frames[30].world_from_sensor.translation_mm.x += 1e-6);
+    assert!(off.contains("off the wall"), "{off}");
+    let turn = fault(&|s| s.recording.frames.truncate(40));
+    assert_eq!(turn, "", "a shorter recording is no fault");
+    let gap = fault(&|s| {
+        let frames = &mut s.recording.frames;
+        frames.drain(20..40);
+        frames.iter_mut().enumerate().for_each(|(k, f)| f.time_s = Some(k as f64));
+        s.places.drain(20..40);
+    });
+    assert!(gap.contains("a jump of"), "{gap}");
+    let label =
+        fault(&|s| s.places.iter_mut().filter(|p| p.s_mm > 90.0).for_each(|p| p.branch = 1 - p.branch));
+    assert!(label.contains("from the tip"), "{label}");
+}
+
+#[test]
+fn ways_back_are_recorded_or_not_and_frames_are_the_same() {
+    let visits = visiting(&["0:80", "1:80", "0:5"]);
+    let run = |insertion: &Insertion| {
+        let settings = SimulationSettings::default().with_insertion(insertion.clone());
+        Simulation::run(phantom("bifurcation"), &settings).unwrap()
+    };
+    let (all, again) = (run(&visits), run(&visits));
+    assert_eq!(format!("{:?}", all.recording), format!("{:?}", again.recording), "the same seed");
+    let some = run(&visits.clone().with_record_withdrawals(false));
+    let times = |s: &Simulation| s.recording.frames.iter().map(|f| f.time_s.unwrap()).collect::<Vec<_>>();
+    assert!(times(&some).iter().all(|time| times(&all).contains(time)));
+    for (frame, place) in some.recording.frames.iter().zip(&some.places) {
+        let k = times(&all).iter().position(|&time| Some(time) == frame.time_s).unwrap();
+        assert_eq!((frame, place), (&all.recording.frames[k], &all.places[k]));
+    }
+    // Recorded, the catheter comes back to 5 mm; unrecorded, no frame goes back within a visit.
+    assert!((all.places.last().unwrap().s_mm - 5.0).abs() < 0.5);
+    let backward = |s: &Simulation| {
+        s.places.windows(2).filter(|p| p[0].visit == p[1].visit && p[1].s_mm < p[0].s_mm - 1e-9).count()
+    };
+    assert!(backward(&all) > 80 && backward(&some) <= 1, "{} {}", backward(&all), backward(&some));
+}
+
+#[test]
+fn a_single_visit_is_the_insertion_into_its_branch() {
+    let run = |insertion: Insertion| {
+        let settings = SimulationSettings::default().with_insertion(insertion);
+        Simulation::run(phantom("side_branch"), &settings).unwrap().recording
+    };
+    let visits = Insertion::default().with_visits(vec![Visit::new(1, Some(70.0))]);
+    let branch = Insertion::default().with_branch(1).with_end_mm(Some(70.0));
+    assert_eq!(format!("{:?}", run(visits)), format!("{:?}", run(branch)));
+}
+
+#[test]
+fn a_branch_whose_centreline_begins_in_its_parent_is_entered_through_it() {
+    // The centrelines of the phantom, cut off where they part, as other programs write them; and beside the middle.
+    let whole = phantom("side_branch");
+    let side = &whole.branches()[1];
+    for (shift_mm, begin) in [(0.0, 36), (2.0, 36)] {
+        let points: Vec<DVec3> = side.points_mm()[begin..].iter().map(|p| *p + DVec3::Y * shift_mm).collect();
+        let radii = side.inscribed_radius_mm()[begin..].iter().map(|r| r - shift_mm).collect();
+        let lines = vec![whole.branches()[0].clone(), Centreline::new(points, radii).unwrap()];
+        let vessel = SimulatedVessel::new(whole.surface().clone(), lines).unwrap();
+        for visits in [["0", "1"], ["1", "0"]] {
+            let simulation = Simulation::run(vessel.clone(), &noise_free(visiting(&visits))).unwrap();
+            assert_eq!(fault_of_a_route(&simulation, 1.01, 20.0), None, "{visits:?} {shift_mm}");
+            let first = simulation.places[0];
+            assert_eq!((first.branch, first.s_mm), (0, 5.0), "the way begins in the trunk");
+        }
+    }
+}
+
+#[test]
+fn routes_that_can_not_be_gone_are_refused_with_a_reason() {
+    let message = |vessel: &SimulatedVessel, insertion: Insertion| {
+        Simulation::run(vessel.clone(), &noise_free(insertion)).unwrap_err().to_string()
+    };
+    let two = phantom("bifurcation");
+    assert!(message(&two, visiting(&["0", "2"])).contains("insertion.visits: found branch 2"));
+    assert!(message(&two, visiting(&["0", "1:500"])).contains("a way forward within the branch's"));
+    assert!(message(&two, visiting(&["0", "1"]).with_start_mm(60.0)).contains("parts from the one before"));
+    assert!(message(&two, visiting(&["0"]).with_branch(1)).contains("insertion.branch or insertion.end_mm"));
+    assert!(message(&two, visiting(&["0:NaN"])).contains("insertion.visits.to_mm"));
+    for text in ["", "a", "1:", "1:x", "-1", "1:2:3"] {
+        assert!(text.parse::<Visit>().unwrap_err().to_string().contains("insertion.visits"), "{text}");
+    }
+    // The far half of a branch of the tree and another branch do not begin together.
+    let tree = phantom("tree");
+    let far = &tree.branches()[3];
+    let (points, radii) = (far.points_mm()[90..].to_vec(), far.inscribed_radius_mm()[90..].to_vec());
+    let lines = vec![tree.branches()[0].clone(), Centreline::new(points, radii).unwrap()];
+    let apart = SimulatedVessel::new(tree.surface().clone(), lines).unwrap();
+    let found = message(&apart, visiting(&["0", "1"]));
+    assert!(found.contains("branch 1, which begins at") && found.contains("begins together"), "{found}");
+}
+
+#[test]
+fn trees_have_murrays_radii_and_angles() {
+    for (levels, ratio, angle_deg) in [(1, 1.0, None), (2, 0.8, None), (3, 0.85, None), (2, 0.7, Some(35.0))]
+    {
+        let tree = Tree::default()
+            .with_levels(levels)
+            .with_root_radius_mm(10.0)
+            .with_daughter_ratio(ratio)
+            .with_half_angle_deg(angle_deg);
+        let vessel = Phantom::from(Shape::Tree(tree.clone())).vessel().unwrap();
+        assert_eq!(vessel.notes(), [] as [&str; 0]);
+        let topology = vessel.surface().topology();
+        let ends = 1 << levels;
+        assert_eq!(vessel.branches().len(), ends);
+        assert!(topology.is_oriented_manifold() && topology.degenerate_triangles == 0);
+        assert_eq!(
+            (topology.components, topology.boundary_loops),
+            (1, ends + 1),
+            "levels {levels}, ratio {ratio}"
+        );
+        // At their ends the tubes are straight and far from others: the wall's facets lie within 0.1 mm of the radius.
+        let radius = |branch: usize| {
+            let line = &vessel.branches()[branch];
+            line.inscribed_radius_at_mm(line.length_mm() - 3.0)
+        };
+        let cubes: f64 = (0..ends).map(|branch| radius(branch).powi(3)).sum();
+        assert!((cubes.cbrt() - 10.0).abs() < 1e-6, "levels {levels}, ratio {ratio}: {}", cubes.cbrt());
+        assert!((radius(1) / radius(0) - ratio).abs() < 1e-9);
+        let line = &vessel.branches()[0];
+        let near_end = line.frame(line.length_mm() - 3.0);
+        for p in Probe::default().ranges_mm(&vessel, &near_end) {
+            assert!((p - radius(0)).abs() < 0.15, "{p} mm, {} expected", radius(0));
+        }
+        // The angle between two sisters.
+        let [a, b] = [0, 1].map(|branch| {
+            let line = &vessel.branches()[branch];
+            line.at(line.length_mm()).1
+        });
+        let cube = 1.0 + ratio.powi(3);
+        let own = [1.0 / cube.cbrt(), ratio / cube.cbrt()];
+        let murray =
+            |r: f64, other: f64| ((1.0 + r.powi(4) - other.powi(4)) / (2.0 * r * r)).acos().to_degrees();
+        let expected = angle_deg.map_or(murray(own[0], own[1]) + murray(own[1], own[0]), |angle| 2.0 * angle);
+        let between = a.angle_between(b).to_degrees();
+        assert!((between - expected).abs() < 0.1, "{between}°, {expected}° expected");
+    }
+}
+
+#[test]
+fn trees_that_can_not_be_are_refused() {
+    let message = |tree: Tree| Phantom::from(Shape::Tree(tree)).vessel().map(|_| ()).unwrap_err().to_string();
+    assert!(message(Tree::default().with_levels(4)).contains("levels: found 4, expected 1 to 3"));
+    assert!(message(Tree::default().with_levels(0)).contains("levels: found 0"));
+    assert!(message(Tree::default().with_daughter_ratio(0.2)).contains("daughter_ratio"));
+    assert!(message(Tree::default().with_root_radius_mm(2.0).with_levels(3)).contains("smallest radius"));
+    assert!(message(Tree::default().with_half_angle_deg(Some(80.0))).contains("half_angle_deg"));
+    // A lattice too coarse for the smallest tubes tears them.
+    let coarse = Phantom::from(Shape::Tree(Tree::default().with_levels(3))).with_edge_mm(10.0);
+    let torn = coarse.vessel().map(|_| ()).unwrap_err().to_string();
+    assert!(torn.contains("vessel.shape.tree: found a wall of"), "{torn}");
+    let text = "shape.tree = { levels = 3, half_angle_deg = 35.0 }\n";
+    let phantom: Phantom = toml::from_str(text).unwrap();
+    assert_eq!(phantom.shape, Shape::Tree(Tree::default().with_levels(3).with_half_angle_deg(Some(35.0))));
+}
+
 #[test]
 fn centreline_files_read_back_equal_or_are_refused_with_a_reason() {
     let folder = tempfile::tempdir().unwrap();
@@ -524,6 +777,18 @@ fn the_command_writes_what_it_says() {
     let truth = Recording::read(&folder.path().join("truth.mat")).unwrap();
     assert_eq!(truth.frames.len(), recording.frames.len());
     assert_eq!(&Surface::read(&folder.path().join("wall.vtp")).unwrap(), phantom("cylinder").surface());
+
+    let visits = "simulate --vessel bifurcation --steady --branches 0:70,1:75 --record-withdrawals no --truth-branches b.csv";
+    let (status, out, err) = run(&[visits.split(' ').collect(), vec!["-o", "two.mat"]].concat());
+    assert_eq!((status, err.as_str()), (0, ""));
+    assert!(out.contains("branches 0 up to 70 mm, 1 up to 75 mm (of 2)"), "{out}");
+    let places = std::fs::read_to_string(folder.path().join("b.csv")).unwrap();
+    let frames = Recording::read(&folder.path().join("two.mat")).unwrap().frames.len();
+    assert!(places.starts_with("frame,time_s,visit,branch,s_mm\n0,0,0,0,5\n"), "{places}");
+    assert_eq!(places.lines().count(), frames + 1);
+    assert!(places.lines().last().unwrap().contains(",1,1,7"), "{places}");
+    let (status, _, err) = run(&["simulate", "--branches", "0,x", "-o", "other"]);
+    assert!(status == 2 && err.contains("found x, expected a branch"), "{err}");
 
     std::fs::write(folder.path().join("settings.toml"), "[noise]\nsed = 5\n").unwrap();
     let (status, _, err) = run(&["simulate", "--config", "settings.toml", "-o", "other"]);

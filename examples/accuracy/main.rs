@@ -4,14 +4,17 @@
 //! ```sh
 //! cargo run --release --example accuracy            # all rows; writes the table
 //! cargo run --release --example accuracy aorta      # rows with that in their names; prints only
+//! cargo run --release --example accuracy -- --kinds       # errors that laboratories meet; writes their table
+//! cargo run --release --example accuracy -- --kinds ring  # kinds with that in their names; prints only
 //! ```
 //!
 //! `LUMENMESH_SHARED` names the folder with `recordings/` and `data/` (default: `../shared`), `LUMENMESH_PYTHON` a
 //! Python with Open3D (default: `python3`); without it Poisson is not run. Exit status: 0 where the sweep's mean
 //! distance is at most 0.8 times Poisson's in every row, else 1.
 
-#[path = "../tests/support/data.rs"]
+#[path = "../../tests/support/data.rs"]
 mod data;
+mod kinds;
 
 use data::shared_path as shared;
 use glam::DVec3;
@@ -71,8 +74,12 @@ struct Measured {
 }
 
 fn main() -> ExitCode {
-    let wanted = std::env::args().nth(1);
-    match run(wanted.as_deref()) {
+    let (first, second) = (std::env::args().nth(1), std::env::args().nth(2));
+    let done = match first.as_deref() {
+        Some("--kinds") => kinds::run(second.as_deref()).map(|()| true),
+        wanted => run(wanted),
+    };
+    match done {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::FAILURE,
         Err(error) => {
@@ -83,12 +90,7 @@ fn main() -> ExitCode {
 }
 
 fn run(wanted: Option<&str>) -> Result<bool> {
-    let python = std::env::var("LUMENMESH_PYTHON").unwrap_or_else(|_| "python3".into());
-    let check = Command::new(&python).args(["scripts/poisson.py", "--check"]).output();
-    let python = check.is_ok_and(|o| o.status.success()).then_some(python);
-    if python.is_none() {
-        eprintln!("no Python with Open3D (LUMENMESH_PYTHON names one): Poisson is not run");
-    }
+    let python = python();
     let mut table = String::from(
         "| recording | R, mm | stitched | blended | sweep | Poisson, best depth | sweep : Poisson |\n|---|---|---|---|---|---|---|\n",
     );
@@ -140,10 +142,21 @@ fn run(wanted: Option<&str>) -> Result<bool> {
         let text = format!(
             "{BEGIN}\nlumenmesh {version}; the seed of each recording is in its name.\n\n{table}\n{END}"
         );
-        replace_table(&text)?;
+        replace_table(&text, BEGIN, END)?;
         println!("wrote {TABLE}");
     }
     Ok(passed)
+}
+
+/// The Python that runs Poisson reconstruction, if there is one.
+fn python() -> Option<String> {
+    let python = std::env::var("LUMENMESH_PYTHON").unwrap_or_else(|_| "python3".into());
+    let check = Command::new(&python).args(["scripts/poisson.py", "--check"]).output();
+    let python = check.is_ok_and(|o| o.status.success()).then_some(python);
+    if python.is_none() {
+        eprintln!("no Python with Open3D (LUMENMESH_PYTHON names one): Poisson is not run");
+    }
+    python
 }
 
 /// The rows. Noise: contour and position, mm; rotation 0.5° where there is any.
@@ -187,14 +200,7 @@ fn input(source: &Source) -> Result<Input> {
             truth: Truth::new(Surface::read(&shared("data/aorta_adult_full_steve.stl"))?)?,
         }),
         Source::Simulated { vessel, way, noise_mm, seed } => {
-            let stl = shared(&format!("data/{vessel}.stl"));
-            let vessel = match vessel.parse::<Shape>() {
-                Ok(shape) => Phantom::from(shape).vessel()?,
-                Err(_) => {
-                    let centreline = shared(&format!("data/{vessel}_centreline.csv"));
-                    SimulatedVessel::new(Surface::read(&stl)?, Centreline::read_branches(&centreline)?)?
-                }
-            };
+            let vessel = simulated_vessel(vessel)?;
             let noise = match *noise_mm {
                 None => Noise::none(),
                 Some([contour_sd_mm, position_sd_mm]) => Noise::default()
@@ -210,6 +216,18 @@ fn input(source: &Source) -> Result<Input> {
                 wall_mm: echoes_mm(&simulation.truth_recording),
                 truth: Truth::new(simulation.vessel.surface().clone())?,
             })
+        }
+    }
+}
+
+/// A phantom by name, or a surface of the shared data.
+fn simulated_vessel(name: &str) -> Result<SimulatedVessel> {
+    let stl = shared(&format!("data/{name}.stl"));
+    match name.parse::<Shape>() {
+        Ok(shape) => Phantom::from(shape).vessel(),
+        Err(_) => {
+            let centreline = shared(&format!("data/{name}_centreline.csv"));
+            SimulatedVessel::new(Surface::read(&stl)?, Centreline::read_branches(&centreline)?)
         }
     }
 }
@@ -280,10 +298,10 @@ fn poisson(python: &str, recording: &Recording) -> Result<Vec<(u32, Surface)>> {
     meshes
 }
 
-fn replace_table(text: &str) -> Result<()> {
+fn replace_table(text: &str, begin: &str, end: &str) -> Result<()> {
     let path = Path::new(TABLE);
     let page = std::fs::read_to_string(path).map_err(|source| lumenmesh::Error::read(path, source))?;
-    let Some(((before, _), (_, after))) = page.split_once(BEGIN).zip(page.split_once(END)) else {
+    let Some(((before, _), (_, after))) = page.split_once(begin).zip(page.split_once(end)) else {
         return Err(lumenmesh::Error::read(
             path,
             std::io::Error::other("the marks of the table are missing"),

@@ -1,0 +1,163 @@
+//! Errors that laboratories meet: all kinds, in several vessels, by all methods, beside Poisson reconstruction.
+
+use super::{COVERED_MM, echoes_mm, poisson, python, replace_table, simulated_vessel};
+use glam::DVec3;
+use lumenmesh::Result;
+use lumenmesh::evaluate::{Distances, Locator, Truth, evaluate};
+use lumenmesh::reconstruction::Reconstructor;
+use lumenmesh::recording::Recording;
+use lumenmesh::settings::{Backend, Merge, Method, Settings};
+use lumenmesh::simulate::{self, FaultKind, Insertion, Noise, Probe, Simulation};
+use lumenmesh::surface::Surface;
+
+const BEGIN: &str = "<!-- kinds: written by `cargo run --release --example accuracy -- --kinds` -->\n";
+const END: &str = "<!-- kinds: end -->\n";
+
+/// The vessels, and how fast the catheter advances in them, mm/s.
+const VESSELS: [(&str, &str, f64); 2] =
+    [("arch", "arch", 2.4), ("iliac", "aorto_iliac_bifurcation_vmtk", 2.4)];
+
+/// Measures all kinds and writes the table, or prints those with `wanted` in their names.
+pub(super) fn run(wanted: Option<&str>) -> Result<()> {
+    let python = python();
+    let mut table = String::from(
+        "| error | vessel | stitched | blended | sweep | > 1 mm | within 1, 2, 3 s.e. | rank | Poisson, best depth | \
+         sweep : Poisson |\n|---|---|---|---|---|---|---|---|---|---|\n",
+    );
+    let none = ("none", None);
+    let kinds = FaultKind::ALL.map(|kind| (kind.name, Some(kind)));
+    for (name, kind) in std::iter::once(none).chain(kinds) {
+        if wanted.is_some_and(|part| !name.contains(part)) {
+            continue;
+        }
+        for (short, vessel, speed_mm_s) in VESSELS {
+            let row = row(name, kind, (short, vessel, speed_mm_s), python.as_deref())?;
+            print!("{row}");
+            table += &row;
+        }
+    }
+    if wanted.is_none() {
+        let version = env!("CARGO_PKG_VERSION");
+        replace_table(&format!("{BEGIN}\nlumenmesh {version}.\n\n{table}\n{END}"), BEGIN, END)?;
+    }
+    Ok(())
+}
+
+fn row(
+    name: &str,
+    kind: Option<FaultKind>,
+    (short, vessel, speed_mm_s): (&str, &str, f64),
+    python: Option<&str>,
+) -> Result<String> {
+    let vessel = simulated_vessel(vessel)?;
+    let radius_mm = vessel.branches()[0].median_radius_mm();
+    let noise = Noise::default().with_seed(7).with_contour_sd_mm(radius_mm / 10.0);
+    let mut settings = simulate::SimulationSettings::default()
+        .with_insertion(Insertion::steady().with_speed_mm_s(speed_mm_s))
+        .with_probe(Probe::default().with_rays(72))
+        .with_noise(noise.with_position_sd_mm(0.03 * radius_mm));
+    if let Some(kind) = kind {
+        kind.apply(&mut settings, radius_mm);
+    }
+    let simulation = Simulation::run(vessel, &settings)?;
+    let truth = Truth::new(simulation.vessel.surface().clone())?;
+    let wall_mm = echoes_mm(&simulation.truth_recording);
+    let recording = &simulation.recording;
+    let cylinders = Settings::default().with_method(Method::Cylinders).with_backend(Backend::Cpu);
+    let [stitched, blended] = [Merge::Stitch, Merge::Blend]
+        .map(|merge| cell(reconstructed(recording, cylinders.clone().with_merge(merge)), &truth, &wall_mm));
+    let swept = reconstructed(recording, Settings::default());
+    let certain = swept.as_ref().ok().map(|surface| Certainty::of(surface, &truth)).transpose()?;
+    let swept_mean_mm =
+        swept.as_ref().ok().and_then(|s| evaluate(s, &truth).ok()).map(|e| e.mesh_to_truth.mean_mm);
+    let mut best: Option<(u32, Distances)> = None;
+    if let Some(python) = python {
+        for (depth, surface) in poisson(python, recording)? {
+            let Ok(found) = evaluate(&surface, &truth) else { continue };
+            let found = found.mesh_to_truth;
+            if best.as_ref().is_none_or(|(_, best)| found.mean_mm < best.mean_mm) {
+                best = Some((depth, found));
+            }
+        }
+    }
+    let (far, shares, rank) = certain.map_or(("-".into(), "-".into(), "-".into()), |c| c.cells());
+    let poisson = best
+        .as_ref()
+        .map_or("not run".into(), |(depth, d)| format!("{depth}: {:.3}; {:.2}", d.mean_mm, d.p95_mm));
+    let ratio =
+        swept_mean_mm.zip(best).map_or("-".into(), |(sweep, (_, d))| format!("{:.2}", sweep / d.mean_mm));
+    let swept = cell(swept, &truth, &wall_mm);
+    Ok(format!(
+        "| {name} | {short} | {stitched} | {blended} | {swept} | {far} | {shares} | {rank} | {poisson} | {ratio} |\n"
+    ))
+}
+
+fn reconstructed(recording: &Recording, settings: Settings) -> Result<Surface> {
+    Ok(Reconstructor::new(settings).run(recording)?.surface())
+}
+
+/// Mean and 95th percentile, mm, and the share of the wall that is covered; or that the recording was refused.
+fn cell(surface: Result<Surface>, truth: &Truth, wall_mm: &[DVec3]) -> String {
+    let measured = surface.and_then(|surface| {
+        let distances = evaluate(&surface, truth)?.mesh_to_truth;
+        let closest = Locator::new(&surface)?.closest_all(wall_mm);
+        let covered =
+            closest.iter().filter(|c| c.distance_mm < COVERED_MM).count() as f64 / wall_mm.len() as f64;
+        Ok(format!("{:.3}; {:.2}; {:.1} %", distances.mean_mm, distances.p95_mm, 100.0 * covered))
+    });
+    measured.unwrap_or_else(|_| "refused".into())
+}
+
+/// How far the standard errors of the supported nodes of a sweep hold.
+struct Certainty {
+    /// Share of the nodes more than 1 mm off the wall.
+    far: f64,
+    /// Shares of the nodes within 1, 2 and 3 standard errors of the wall.
+    within: [f64; 3],
+    /// Rank correlation (Spearman's) of the distances and the standard errors.
+    rank: f64,
+}
+
+impl Certainty {
+    fn of(surface: &Surface, truth: &Truth) -> Result<Self> {
+        let error_mm = evaluate(surface, truth)?.error_mm;
+        let array = |name| surface.array(name).unwrap_or_default();
+        let (supported, standard) = (array("supported"), array("standard_error_mm"));
+        let nodes: Vec<(f64, f64)> = (0..error_mm.len())
+            .filter(|&node| supported.get(node).is_some_and(|&s| s > 0.0))
+            .map(|node| (error_mm[node].abs(), standard[node]))
+            .collect();
+        let share = |is: &dyn Fn(&(f64, f64)) -> bool| {
+            nodes.iter().filter(|node| is(node)).count() as f64 / nodes.len().max(1) as f64
+        };
+        Ok(Self {
+            far: share(&|&(error, _)| error > 1.0),
+            within: [1.0, 2.0, 3.0].map(|times| share(&|&(error, standard)| error <= times * standard)),
+            rank: rank_correlation(&nodes),
+        })
+    }
+
+    fn cells(&self) -> (String, String, String) {
+        let [one, two, three] = self.within.map(|share| 100.0 * share);
+        (
+            format!("{:.1} %", 100.0 * self.far),
+            format!("{one:.0}; {two:.0}; {three:.0} %"),
+            format!("{:.2}", self.rank),
+        )
+    }
+}
+
+/// The correlation of the ranks of pairs.
+fn rank_correlation(pairs: &[(f64, f64)]) -> f64 {
+    let ranks = |value: &dyn Fn(usize) -> f64| {
+        let mut order: Vec<usize> = (0..pairs.len()).collect();
+        order.sort_by(|&a, &b| value(a).total_cmp(&value(b)).then(a.cmp(&b)));
+        let mut ranks = vec![0.0; pairs.len()];
+        order.iter().enumerate().for_each(|(rank, &i)| ranks[i] = rank as f64);
+        ranks
+    };
+    let (a, b) = (ranks(&|i| pairs[i].0), ranks(&|i| pairs[i].1));
+    let n = pairs.len() as f64;
+    let apart: f64 = a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum();
+    1.0 - 6.0 * apart / (n * (n * n - 1.0))
+}
