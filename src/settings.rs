@@ -127,6 +127,20 @@ impl Calibration {
     }
 }
 
+/// What becomes of a vessel that branches, by the sweep.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[non_exhaustive]
+pub enum Branches {
+    /// Every branch that the catheter visited is swept by itself, and all are joined. A vessel in which one is found is
+    /// swept as with `off`.
+    #[default]
+    Auto,
+    /// One tube along the longest path through the vessel; what lies beside it counts as wrong echoes.
+    Off,
+}
+
 /// The settings of the method `sweep`. Fields that are `None` are chosen from the recording.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -138,6 +152,8 @@ pub struct SweepSettings {
     /// τ: how much the wall is expected to bend relative to its own size, dimensionless. The wall is smoothed with the
     /// weight λ = (noise/τ)².
     pub roughness: f64,
+    /// What becomes of a vessel that branches.
+    pub branches: Branches,
     /// Whether the surface keeps the parts that no echo supports (marked by the node array `supported`).
     pub keep_unsupported: bool,
     /// Whether a small error of every pose is estimated together with the wall and removed. It pays where the tracker is
@@ -160,6 +176,7 @@ impl Default for SweepSettings {
         Self {
             nodes: None,
             roughness: 0.125,
+            branches: Branches::Auto,
             keep_unsupported: false,
             correct_poses: false,
             even_smoothness: false,
@@ -172,6 +189,7 @@ impl Default for SweepSettings {
 setters!(SweepSettings {
     with_nodes => nodes: Option<u32>,
     with_roughness => roughness: f64,
+    with_branches => branches: Branches,
     with_keep_unsupported => keep_unsupported: bool,
     with_correct_poses => correct_poses: bool,
     with_even_smoothness => even_smoothness: bool,

@@ -146,7 +146,8 @@ impl Part {
         }
         members.sort_unstable();
         members.dedup();
-        let largest = |value: fn(&TubeFit) -> f64| members.iter().map(|&t| value(&fits[t])).fold(0.0, f64::max);
+        let largest =
+            |value: fn(&TubeFit) -> f64| members.iter().map(|&t| value(&fits[t])).fold(0.0, f64::max);
         (!nodes.is_empty()).then(|| Self {
             is_free: nodes.iter().map(|&n| is_free(n)).collect(),
             surface,
@@ -163,7 +164,8 @@ impl Part {
     fn near(&self, echoes: &[WorldEcho]) -> Vec<WorldEcho> {
         let Some([low, high]) = self.surface.bounding_box_mm() else { return Vec::new() };
         let reach = DVec3::splat(CUT_OFF * self.noise_mm);
-        let is_near = |e: &&WorldEcho| e.point_mm.cmpge(low - reach).all() && e.point_mm.cmple(high + reach).all();
+        let is_near =
+            |e: &&WorldEcho| e.point_mm.cmpge(low - reach).all() && e.point_mm.cmple(high + reach).all();
         echoes.iter().filter(is_near).copied().collect()
     }
 
@@ -185,7 +187,8 @@ impl Part {
             let corners = self.surface.triangles[triangle as usize];
             let there = echo.origin_mm + direction * distance_mm;
             let shares = barycentric(corners.map(|n| self.surface.nodes_mm[n as usize]), there);
-            let bias: f64 = corners.iter().zip(shares).map(|(&n, share)| share * self.bias_mm[n as usize]).sum();
+            let bias: f64 =
+                corners.iter().zip(shares).map(|(&n, share)| share * self.bias_mm[n as usize]).sum();
             let distance_mm = (echo.point_mm - there).dot(normal) - bias;
             Some(Seen { triangle, shares, distance_mm, frame: echo.frame })
         });
@@ -210,10 +213,16 @@ impl Part {
             }
         }
         let laplacian = Laplacian::of(&self.surface);
-        let hold = |x: &mut [f64]| x.iter_mut().zip(&self.is_free).filter(|(_, free)| !**free).for_each(|(x, _)| *x = 0.0);
+        let hold = |x: &mut [f64]| {
+            x.iter_mut().zip(&self.is_free).filter(|(_, free)| !**free).for_each(|(x, _)| *x = 0.0)
+        };
         let apply = |u: &[f64]| -> Vec<f64> {
-            let bent: Vec<f64> =
-                laplacian.apply(u).iter().zip(&laplacian.area_mm2).map(|(x, area)| x * self.smoothness_mm2 / area).collect();
+            let bent: Vec<f64> = laplacian
+                .apply(u)
+                .iter()
+                .zip(&laplacian.area_mm2)
+                .map(|(x, area)| x * self.smoothness_mm2 / area)
+                .collect();
             let mut sum = laplacian.apply(&bent);
             for (&[a, b, c], [aa, bb, cc, ab, bc, ca]) in self.surface.triangles.iter().zip(&matrix) {
                 let [a, b, c] = [a, b, c].map(|n| n as usize);
@@ -270,7 +279,8 @@ impl Part {
             let noise_mm2 = squares[n] / own[n];
             (noise_mm2 / (8.0 * (self.smoothness_mm2 * own[n] / area[n]).sqrt())).sqrt()
         };
-        let plates: Vec<f64> = (0..count).map(|n| if own[n] > 0.0 { plate(n) } else { f64::INFINITY }).collect();
+        let plates: Vec<f64> =
+            (0..count).map(|n| if own[n] > 0.0 { plate(n) } else { f64::INFINITY }).collect();
         let mut ratios: Vec<f64> = (0..count)
             .filter_map(|n| match joined.origin[self.nodes[n] as usize] {
                 Origin::Grid { tube, node } if fits[tube].supported[node] => {
@@ -281,7 +291,8 @@ impl Part {
             .collect();
         let ratio = if ratios.is_empty() { 1.0 } else { median(&mut ratios).max(1.0) };
         let mut known: Vec<f64> = plates.iter().copied().filter(|x| x.is_finite()).collect();
-        let most = (MAX_ERROR_MEDIANS * median(&mut known)).max(MAX_ERROR_RADII / ratio * median(&mut self.radius_mm.clone()));
+        let most = (MAX_ERROR_MEDIANS * median(&mut known))
+            .max(MAX_ERROR_RADII / ratio * median(&mut self.radius_mm.clone()));
         (0..count)
             .map(|n| NodeSupport {
                 echoes: sums[n][0],
@@ -325,7 +336,8 @@ impl Laplacian {
             }
         }
         edges.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        let sum = |edge: &[([u32; 2], f64)]| (edge[0].0, edge.iter().map(|e| e.1).sum::<f64>().max(LEAST_WEIGHT));
+        let sum =
+            |edge: &[([u32; 2], f64)]| (edge[0].0, edge.iter().map(|e| e.1).sum::<f64>().max(LEAST_WEIGHT));
         let edges = edges.chunk_by(|a, b| a.0 == b.0).map(sum).collect();
         let areas = surface.node_areas_mm2();
         let least = 1e-3 * areas.iter().sum::<f64>() / areas.len() as f64;
@@ -380,7 +392,9 @@ impl Laplacian {
 /// Solves a symmetric positive system, preconditioned by its diagonal.
 fn conjugate_gradients(apply: &dyn Fn(&[f64]) -> Vec<f64>, right: &[f64], diagonal: &[f64]) -> Vec<f64> {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
-    let conditioned = |r: &[f64]| -> Vec<f64> { r.iter().zip(diagonal).map(|(r, d)| r / d.max(f64::MIN_POSITIVE)).collect() };
+    let conditioned = |r: &[f64]| -> Vec<f64> {
+        r.iter().zip(diagonal).map(|(r, d)| r / d.max(f64::MIN_POSITIVE)).collect()
+    };
     let mut x = vec![0.0; right.len()];
     let mut residual = right.to_vec();
     let mut z = conditioned(&residual);

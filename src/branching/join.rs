@@ -83,7 +83,11 @@ fn trim(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) {
                 let of_node = |j: usize| {
                     let (origin, p) = (tube.axis.points_mm[ring(k)], tube.node_mm(ring(k), j));
                     let is_inside = |share: f64| tubes[other].outside_mm(origin.lerp(p, share)) < margin_mm;
-                    (0..=SHARES).rev().map(|s| s as f64 / SHARES as f64).find(|&s| is_inside(s)).unwrap_or(0.0)
+                    (0..=SHARES)
+                        .rev()
+                        .map(|s| s as f64 / SHARES as f64)
+                        .find(|&s| is_inside(s))
+                        .unwrap_or(0.0)
                 };
                 (0..tube.nodes).map(of_node).fold(1.0, f64::min)
             };
@@ -136,11 +140,17 @@ fn zones(tubes: &[Tube], inner_ends: &[[Option<usize>; 2]]) -> Vec<Zone> {
             let start = k;
             let mut end = k;
             // Short stretches between two zones belong to them.
-            while let Some(next) = (end + 1..=(end + 2 * BESIDE + 2).min(last)).rev().find(|&k| !meets[k - first].is_empty()) {
+            while let Some(next) =
+                (end + 1..=(end + 2 * BESIDE + 2).min(last)).rev().find(|&k| !meets[k - first].is_empty())
+            {
                 end = next;
             }
-            let (mut zone_first, mut zone_last) = (start.saturating_sub(BESIDE).max(first), (end + BESIDE).min(last));
-            if inner_ends[number][0].is_some() && zones.last().is_none_or(|z| z.tube != number) && start < first + (last - first) / 2 {
+            let (mut zone_first, mut zone_last) =
+                (start.saturating_sub(BESIDE).max(first), (end + BESIDE).min(last));
+            if inner_ends[number][0].is_some()
+                && zones.last().is_none_or(|z| z.tube != number)
+                && start < first + (last - first) / 2
+            {
                 zone_first = first;
             }
             if inner_ends[number][1].is_some() && end + BESIDE >= last {
@@ -203,10 +213,7 @@ fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
 
     let first = zones[0];
     let tube = &tubes[first.tube];
-    let lattice = Lattice {
-        origin_mm: tube.node_mm(first.first, 0),
-        step_mm: DVec3::splat(edge_mm),
-    };
+    let lattice = Lattice { origin_mm: tube.node_mm(first.first, 0), step_mm: DVec3::splat(edge_mm) };
     let mut cells: Vec<I64Vec3> = zones
         .par_iter()
         .flat_map_iter(|zone| {
@@ -238,7 +245,11 @@ fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
     let within = |(tube, spot): (usize, Spot)| -> f64 {
         let of_tube = zones.iter().filter(|zone| zone.tube == tube);
         let inside = of_tube.map(|zone| {
-            let low = if zone.first == *tubes[tube].rings.start() { f64::INFINITY } else { spot.ring - zone.first as f64 - 0.5 };
+            let low = if zone.first == *tubes[tube].rings.start() {
+                f64::INFINITY
+            } else {
+                spot.ring - zone.first as f64 - 0.5
+            };
             let end = zone.last as f64 - 0.5;
             low.min(end - spot.ring)
         });
@@ -282,8 +293,12 @@ fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
         fixed.extend(sew(&mut surface, &mut origin, &tubes[seam.tube], seam, &rim, &theta));
     }
     let triangles = surface.triangles.len();
-    let patches =
-        Patches { nodes_mm: surface.nodes_mm, triangles: surface.triangles, patch: vec![0; triangles], fixed };
+    let patches = Patches {
+        nodes_mm: surface.nodes_mm,
+        triangles: surface.triangles,
+        patch: vec![0; triangles],
+        fixed,
+    };
     let wanted = |p: DVec3| nearest(p).map_or(edge_mm, |(t, _)| tubes[t].edge_mm);
     let even = remeshed(&patches, &wanted)?.surface();
     let fallback = (members[0], Spot { ring: 0.0, theta_rad: 0.0, outside_mm: 0.0 });
@@ -303,7 +318,8 @@ fn clipped(surface: &Surface, value: &[f64]) -> Surface {
                 let [p, q] = [low, high].map(|n| value[n as usize]);
                 // Not so near to a node that triangles have no area.
                 let share = (p / (p - q)).clamp(0.05, 0.95);
-                part.nodes_mm.push(surface.nodes_mm[low as usize].lerp(surface.nodes_mm[high as usize], share));
+                part.nodes_mm
+                    .push(surface.nodes_mm[low as usize].lerp(surface.nodes_mm[high as usize], share));
                 (part.nodes_mm.len() - 1) as u32
             })
         };
@@ -402,7 +418,8 @@ fn sew(
     if winding < 0.0 {
         order.reverse();
     }
-    let lowest = (0..count).fold(0, |best, i| if theta_rad[order[i]] < theta_rad[order[best]] { i } else { best });
+    let lowest =
+        (0..count).fold(0, |best, i| if theta_rad[order[i]] < theta_rad[order[best]] { i } else { best });
     order.rotate_left(lowest);
     let mut angles = vec![theta_rad[order[0]]];
     for pair in order.windows(2) {
@@ -458,7 +475,12 @@ fn assembled(tubes: &[Tube], zones: &[Zone], patches: Vec<Patch>) -> Joined {
             let n = tube.nodes as u32;
             for j in 0..n {
                 let next = (j + 1) % n;
-                joined.surface.triangles.extend(face_triangles(below + j, below + next, above + next, above + j));
+                joined.surface.triangles.extend(face_triangles(
+                    below + j,
+                    below + next,
+                    above + next,
+                    above + j,
+                ));
             }
         }
     }

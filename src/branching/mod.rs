@@ -1,28 +1,35 @@
 //! Vessels that branch (`docs/method.md`, section "Branches").
 //!
 //! `tree` finds the branches that the catheter visited and the frames of each; every branch is swept by itself; `join`
-//! makes one surface of the tubes.
+//! makes one surface of the tubes, and `fit` fits it to the echoes where they meet.
 
 mod fit;
 mod join;
+mod report;
 mod tree;
 mod tube;
 
+pub use report::{BranchReport, BranchesReport, BranchesTimings};
 pub use tree::{BranchPath, BranchTree, Dismissed};
 
-use crate::Result;
 use crate::recording::{Frame, Recording};
 use crate::settings::Settings;
 use crate::surface::Surface;
 use crate::sweep::{StageProgress, Support, Sweep};
+use crate::{Error, Result};
 use fit::{NodeSupport, TubeFit, WorldEcho};
 use glam::DVec2;
 use join::{Joined, Origin};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
+use std::ops::ControlFlow;
+use std::time::Instant;
 use tube::Tube;
 
-/// A vessel that branches, by the sweep.
+/// Parts of the supported surface with a smaller share of its triangles than this are islands beyond an end.
+const LEAST_PART: f64 = 0.01;
+
+/// A vessel that branches: a sweep of every branch, joined to one surface.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct BranchedSweep {
@@ -30,58 +37,107 @@ pub struct BranchedSweep {
     pub tree: BranchTree,
     /// The sweep of each branch. Frames are numbered as in the recording.
     pub sweeps: Vec<Sweep>,
+    /// The reconstruction in numbers.
+    pub report: BranchesReport,
     whole: Surface,
 }
 
 impl BranchedSweep {
-    /// Reconstructs the branches of a recording and joins them.
+    /// Finds the branches of a recording, sweeps each and joins them. `None` where there is but one: [`Sweep::of`] is for
+    /// such. `progress` is called as by [`Sweep::run`], with the stages of all branches.
     ///
     /// # Errors
     /// As [`Sweep::of`].
-    pub fn of(
-        recording: &Recording,
-        settings: &Settings,
-        tree: BranchTree,
-        progress: &StageProgress,
-    ) -> Result<Self> {
-        let mut sweeps = Vec::new();
-        for number in 0..tree.branches.len() {
-            let frames: Vec<usize> =
-                (0..recording.frames.len()).filter(|&k| tree.frame_branch[k] == Some(number)).collect();
-            let part = Recording {
-                frames: frames.iter().map(|&k| recording.frames[k].clone()).collect(),
-                ..recording.clone()
-            };
-            let mut sweep = Sweep::run(&part, settings, progress)?;
+    pub fn of(recording: &Recording, settings: &Settings, progress: &StageProgress) -> Result<Option<Self>> {
+        settings.validate()?;
+        recording.check()?;
+        let start = Instant::now();
+        let mut tree = BranchTree::of(&recording.frames, &settings.calibration.sensor_from_probe());
+        let tree_s = start.elapsed().as_secs_f64();
+        // A branch that cannot be swept, such as one that was hardly entered, is none.
+        let mut sweeps = loop {
+            if tree.is_single() {
+                return Ok(None);
+            }
+            match swept(recording, &tree, settings, progress)? {
+                Ok(sweeps) => break sweeps,
+                Err((number, why)) => tree = tree.without(number, &why),
+            }
+        };
+        for (number, sweep) in sweeps.iter_mut().enumerate() {
+            let frames = tree.frames_of(number);
             for last in sweep.support.last_frame.iter_mut().flatten() {
                 *last = frames[*last as usize] as u32;
             }
-            sweeps.push(sweep);
         }
-        let mut tubes: Vec<Tube> = sweeps
+        let start = Instant::now();
+        let mut tubes: Vec<Tube> = sweeps.iter().map(Tube::of).collect();
+        let inner_ends: Vec<[Option<usize>; 2]> = tree
+            .branches
             .iter()
-            .map(|sweep| Tube::new(&sweep.axis, sweep.nodes, sweep.radii_mm.clone(), sweep.axis.step_mm))
+            .zip(&sweeps)
+            .map(|(branch, sweep)| branch.joined_along(&sweep.axis))
             .collect();
-        let inner_ends: Vec<[Option<usize>; 2]> =
-            tree.branches.iter().zip(&sweeps).map(|(branch, sweep)| branch.joined_along(&sweep.axis)).collect();
         let mut joined = join::joined(&mut tubes, &inner_ends)?;
+        let join_s = start.elapsed().as_secs_f64();
+        let start = Instant::now();
         let fits: Vec<TubeFit> = sweeps.iter().map(tube_fit).collect();
-        let echoes = world_echoes(recording, &tree, settings);
-        let support = fit::fit(&mut joined, &tubes, &fits, &echoes)?;
+        let support = fit::fit(&mut joined, &tubes, &fits, &world_echoes(recording, &tree, settings))?;
         let whole = with_arrays(joined, &sweeps, &support);
-        Ok(Self { tree, sweeps, whole })
+        let seconds = BranchesTimings { tree: tree_s, join: join_s, fit: start.elapsed().as_secs_f64() };
+        let report = BranchesReport::of(recording, &tree, &sweeps, &whole, seconds);
+        Ok(Some(Self { tree, sweeps, report, whole }))
     }
 
-    /// One surface.
+    /// The vessel as one triangle surface, normals outward, open at its ends; without the nodes that are not supported,
+    /// and parts of less than 1 % of the triangles that this cuts off, unless `keep_unsupported`. Arrays as those of [`Sweep::surface`], and `branch`: the place in [`BranchTree::branches`].
+    /// Away from partings the nodes are those of the branches' own grids.
     pub fn surface(&self, keep_unsupported: bool) -> Surface {
-        if keep_unsupported {
-            return self.whole.clone();
+        let mut surface = self.whole.clone();
+        if !keep_unsupported {
+            let supported = self.whole.array("supported").unwrap_or_default();
+            surface.triangles.retain(|t| t.iter().all(|&n| supported[n as usize] > 0.5));
+            surface = surface.without_small_parts(LEAST_PART).without_loose_nodes();
         }
-        let supported = self.whole.array("supported").unwrap_or(&[]);
-        let mut kept = self.whole.clone();
-        kept.triangles.retain(|t| t.iter().all(|&n| supported[n as usize] > 0.5));
-        kept.without_loose_nodes()
+        surface
     }
+}
+
+/// The sweeps of all branches, or the number of one that has none and why.
+fn swept(
+    recording: &Recording,
+    tree: &BranchTree,
+    settings: &Settings,
+    progress: &StageProgress,
+) -> Result<std::result::Result<Vec<Sweep>, (usize, String)>> {
+    let count = tree.branches.len();
+    let mut sweeps = Vec::new();
+    // Small branches first: what cannot be swept is known early.
+    for number in (0..count).rev() {
+        let frames = tree.frames_of(number).into_iter().map(|k| {
+            let frame = recording.frames[k].clone();
+            let number = frame.number.unwrap_or(k);
+            frame.with_number(Some(number))
+        });
+        let part = Recording { frames: frames.collect(), ..Recording::default() };
+        let tell = |stage: &'static str, done: usize, total: usize| -> ControlFlow<()> {
+            progress(stage, (count - 1 - number) * total + done, count * total)
+        };
+        match Sweep::run(&part, settings, &tell) {
+            Ok(sweep) => sweeps.push(sweep),
+            Err(why @ (Error::Recording { .. } | Error::Surface { .. } | Error::Frame { .. }))
+                if number > 0 =>
+            {
+                return Ok(Err((number, why.to_string())));
+            }
+            Err(Error::Frame { frame, field, found, expected }) => {
+                return Err(Error::Frame { frame: tree.frames_of(number)[frame], field, found, expected });
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    sweeps.reverse();
+    Ok(Ok(sweeps))
 }
 
 fn tube_fit(sweep: &Sweep) -> TubeFit<'_> {
@@ -102,7 +158,8 @@ fn world_echoes(recording: &Recording, tree: &BranchTree, settings: &Settings) -
     used.flat_map_iter(|((k, frame), _)| {
         let pose = frame.world_from_sensor * sensor_from_probe;
         // Contours that do not go round the probe are seen from their middle.
-        let origin = if goes_round_probe(frame) { DVec2::ZERO } else { frame.centroid_mm().unwrap_or(DVec2::ZERO) };
+        let origin =
+            if goes_round_probe(frame) { DVec2::ZERO } else { frame.centroid_mm().unwrap_or(DVec2::ZERO) };
         let place = move |p: DVec2| pose.transform_point(p.extend(0.0));
         let origin_mm = place(origin);
         frame.echoes_mm().map(move |p| WorldEcho { origin_mm, point_mm: place(p), frame: k as u32 })
@@ -131,13 +188,14 @@ fn with_arrays(joined: Joined, sweeps: &[Sweep], support: &[Option<NodeSupport>]
         }
     };
     let of: Vec<(usize, usize)> = origin.iter().map(nearest).collect();
-    let mut array = |name, of_grid: &dyn Fn(&Support, usize) -> f64, of_parting: &dyn Fn(&NodeSupport) -> f64| {
-        let value = |(&(tube, node), at): (&(usize, usize), &Option<NodeSupport>)| match at {
-            Some(at) => of_parting(at),
-            None => of_grid(&sweeps[tube].support, node),
+    let mut array =
+        |name, of_grid: &dyn Fn(&Support, usize) -> f64, of_parting: &dyn Fn(&NodeSupport) -> f64| {
+            let value = |(&(tube, node), at): (&(usize, usize), &Option<NodeSupport>)| match at {
+                Some(at) => of_parting(at),
+                None => of_grid(&sweeps[tube].support, node),
+            };
+            surface.set_array(name, of.iter().zip(support).map(value).collect());
         };
-        surface.set_array(name, of.iter().zip(support).map(value).collect());
-    };
     let frame = |last: Option<u32>| last.map_or(f64::NAN, f64::from);
     let flag = |is: bool| f64::from(u8::from(is));
     array("support", &|s, n| f64::from(s.echoes[n]), &|at| at.echoes);

@@ -73,7 +73,7 @@ pub struct Dismissed {
     /// Frames whose centres lie beyond the wall.
     pub frames: usize,
     /// Why it is none.
-    pub reason: &'static str,
+    pub reason: String,
 }
 
 /// Centre and size of the lumen in one frame.
@@ -119,6 +119,31 @@ impl BranchTree {
     pub fn is_single(&self) -> bool {
         self.branches.len() < 2
     }
+
+    /// The frames of a branch, ascending.
+    pub fn frames_of(&self, branch: usize) -> Vec<usize> {
+        (0..self.frame_branch.len()).filter(|&k| self.frame_branch[k] == Some(branch)).collect()
+    }
+
+    /// The tree without one of its branches, whose frames go to its parent, as do the branches that leave it.
+    pub(super) fn without(mut self, branch: usize, why: &str) -> Self {
+        let gone = self.branches.remove(branch);
+        let parent = gone.parent.unwrap_or(0);
+        let renumber = |k: usize| if k == branch { parent } else { k - usize::from(k > branch) };
+        for other in &mut self.branches {
+            other.parent = other.parent.map(renumber);
+            other.joined = other.joined.map(|end| end.map(renumber));
+        }
+        self.frame_branch.iter_mut().for_each(|of| *of = of.map(renumber));
+        self.branches[parent].frames += gone.frames;
+        self.dismissed.push(Dismissed {
+            tip_mm: gone.middle_mm[gone.middle_mm.len() - 1],
+            depth_mm: gone.depth_mm,
+            frames: gone.frames,
+            reason: format!("it cannot be swept: {why}"),
+        });
+        self
+    }
 }
 
 /// The branch that a frame belongs to: the one whose middle is nearest in lumen radii, but the parent within its lumen.
@@ -153,7 +178,8 @@ fn nearest_on(middle_mm: &[DVec3], values: &[f64], point_mm: DVec3) -> (f64, f64
     let mut best = (point_mm.distance_squared(middle_mm[0]), values[0]);
     for (pair, value) in middle_mm.windows(2).zip(values.windows(2)) {
         let along = pair[1] - pair[0];
-        let share = ((point_mm - pair[0]).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        let share =
+            ((point_mm - pair[0]).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
         let squared = point_mm.distance_squared(pair[0] + along * share);
         if squared < best.0 {
             best = (squared, value[0] + share * (value[1] - value[0]));
@@ -198,7 +224,9 @@ impl Clusters {
             .iter()
             .map(|members| Cluster {
                 centre_mm: members.iter().map(|s| s.centre_mm).sum::<DVec3>() / members.len() as f64,
-                radius_mm: median(&mut members.iter().map(|s| s.radius_mm.min(largest_mm)).collect::<Vec<_>>()),
+                radius_mm: median(
+                    &mut members.iter().map(|s| s.radius_mm.min(largest_mm)).collect::<Vec<_>>(),
+                ),
                 sights: members.len(),
             })
             .collect();
@@ -290,7 +318,8 @@ impl Clusters {
                     away.fold(f64::INFINITY, f64::min)
                 })
                 .collect();
-            let is_outside = |&k: &usize| !refused[k] && depth_mm[k] > LEAST_DEPTH_RADII * self.all[k].radius_mm;
+            let is_outside =
+                |&k: &usize| !refused[k] && depth_mm[k] > LEAST_DEPTH_RADII * self.all[k].radius_mm;
             let candidates = (0..count).filter(is_outside);
             let Some(tip) = candidates.max_by(|&a, &b| distances[a].total_cmp(&distances[b]).then(b.cmp(&a)))
             else {
@@ -301,8 +330,13 @@ impl Clusters {
             let frames: usize = beyond.map(|&k| self.all[k].sights).sum();
             if frames < LEAST_FRAMES {
                 refused[tip] = true;
-                let reason = "too few frames lie beyond the wall";
-                dismissed.push(Dismissed { tip_mm: self.centres_mm[tip], depth_mm: depth_mm[tip], frames, reason });
+                let reason = "too few frames lie beyond the wall".into();
+                dismissed.push(Dismissed {
+                    tip_mm: self.centres_mm[tip],
+                    depth_mm: depth_mm[tip],
+                    frames,
+                    reason,
+                });
                 continue;
             }
             tree.paths.push(path);
@@ -383,9 +417,8 @@ impl Tree {
             paths.push(path);
         }
         // The branch that goes on where another one ends.
-        let passes = |cluster: usize| {
-            paths.iter().position(|path| path[1..path.len() - 1].contains(&cluster))
-        };
+        let passes =
+            |cluster: usize| paths.iter().position(|path| path[1..path.len() - 1].contains(&cluster));
         for (branch, path) in branches.iter_mut().zip(&paths) {
             branch.joined = [path[0], path[path.len() - 1]].map(passes);
         }
@@ -437,7 +470,8 @@ impl Tree {
         let arms: Vec<(usize, DVec3, f64)> = self.links[parting]
             .iter()
             .map(|&arm| {
-                let (mut from, mut at, mut length) = (parting, arm, here.centre_mm.distance(clusters.centres_mm[arm]));
+                let (mut from, mut at, mut length) =
+                    (parting, arm, here.centre_mm.distance(clusters.centres_mm[arm]));
                 while length < ARM_RADII * here.radius_mm && self.links[at].len() == 2 {
                     let Some(&next) = self.links[at].iter().find(|&&k| k != from) else { break };
                     length += clusters.centres_mm[at].distance(clusters.centres_mm[next]);
@@ -451,7 +485,8 @@ impl Tree {
         for (i, a) in arms.iter().enumerate() {
             for b in &arms[i + 1..] {
                 let from_start = inward.is_some_and(|arm| arm == a.0 || arm == b.0);
-                let cost = a.1.dot(b.1) + (a.2 / b.2).ln().abs() + if from_start { 0.0 } else { AWAY_FROM_START };
+                let cost =
+                    a.1.dot(b.1) + (a.2 / b.2).ln().abs() + if from_start { 0.0 } else { AWAY_FROM_START };
                 if cost < best.0 {
                     best = (cost, [a.0, b.0]);
                 }

@@ -1,6 +1,6 @@
 //! The wall of a branch as a function of place.
 
-use crate::sweep::Axis;
+use crate::sweep::{Axis, Sweep};
 use glam::DVec3;
 use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
@@ -34,9 +34,18 @@ pub(super) struct Spot {
 }
 
 impl<'a> Tube<'a> {
-    pub(super) fn new(axis: &'a Axis, nodes: usize, radii_mm: Vec<f64>, edge_mm: f64) -> Self {
+    pub(super) fn of(sweep: &'a Sweep) -> Self {
+        let Sweep { axis, nodes, radii_mm, .. } = sweep;
+        let edge_mm = axis.step_mm;
         let reach_mm = radii_mm.iter().copied().fold(0.0, f64::max) + 4.0 * edge_mm;
-        Self { axis, nodes, radii_mm, rings: 0..=axis.rings() - 1, edge_mm, reach_mm }
+        Self {
+            axis,
+            nodes: *nodes,
+            radii_mm: radii_mm.clone(),
+            rings: 0..=axis.rings() - 1,
+            edge_mm,
+            reach_mm,
+        }
     }
 
     /// Radius of the wall, mm.
@@ -63,7 +72,8 @@ impl<'a> Tube<'a> {
         let squared = |k: usize| self.axis.points_mm[k].distance_squared(point_mm);
         let nearer = |best: usize, k: usize| if squared(k) < squared(best) { k } else { best };
         let coarse = (first..=last).step_by(STRIDE).fold(last, nearer);
-        let near = (coarse.saturating_sub(STRIDE).max(first)..=(coarse + STRIDE).min(last)).fold(coarse, nearer);
+        let near =
+            (coarse.saturating_sub(STRIDE).max(first)..=(coarse + STRIDE).min(last)).fold(coarse, nearer);
         if squared(near) > self.reach_mm * self.reach_mm {
             return None;
         }

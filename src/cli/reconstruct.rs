@@ -2,6 +2,7 @@ use super::settings::SettingsArguments;
 use super::space::SpaceArgument;
 use super::{Shown, print_json, progress, refuse_inputs};
 use crate::anatomy::{VesselTree, check_axis_ending};
+use crate::branching::BranchesReport;
 use crate::cylinders::{CylindersReport, write_cylinders};
 use crate::engine::EngineDescription;
 use crate::reconstruction::{Lumen, LumenReport, Reconstructor, Summary};
@@ -161,6 +162,7 @@ pub(super) fn print_report(report: LumenReport) {
     match report {
         LumenReport::Cylinders(report) => print_cylinders(report),
         LumenReport::Sweep(report) => print_sweep(report),
+        LumenReport::Branches(report) => print_branches(report),
     }
 }
 
@@ -215,6 +217,78 @@ fn print_sweep(report: &sweep::SweepReport) {
         "{:.1} ms estimating errors and fitting again, {:.1} ms weighing support",
         seconds.errors * 1e3,
         seconds.support * 1e3
+    );
+}
+
+/// The report of a vessel that branches for people.
+fn print_branches(report: &BranchesReport) {
+    println!("method     sweep of {} branches", report.branches.len());
+    if let Some(first) = report.branches.first() {
+        print_engine(&first.sweep.engine, first.sweep.threads);
+    }
+    print!("frames     {}", report.frames);
+    match report.frames_left_out[..] {
+        [] => println!(),
+        [first, ..] => println!(
+            ", {} left out: their contours turn back about their centres or enclose no area (the first is frame {first})",
+            report.frames_left_out.len()
+        ),
+    }
+    for (number, branch) in report.branches.iter().enumerate() {
+        let sweep = &branch.sweep;
+        match (branch.parent, branch.parting_mm) {
+            (Some(parent), Some(at)) => {
+                println!(
+                    "branch {number:<4}leaves branch {parent} at ({:.1}, {:.1}, {:.1}) mm",
+                    at.x, at.y, at.z
+                );
+            }
+            _ => println!("branch {number:<4}the recording begins in it"),
+        }
+        if branch.parent.is_some() {
+            println!("           {}", branch.reason);
+        }
+        println!(
+            "           {:.1} mm long, contours of {:.2} mm radius; {} frames, {} echoes, {} off the wall; noise {:.3} mm",
+            sweep.length_mm,
+            sweep.contour_radius_mm,
+            sweep.frames,
+            sweep.echoes,
+            sweep.off_wall,
+            sweep.noise_mm
+        );
+        if !sweep.converged {
+            println!("           the fit has not converged within its limit of iterations and steps");
+        }
+        if let Some(errors) = &sweep.errors {
+            print_errors(errors);
+        }
+        if let Some(tracker) = &sweep.tracker {
+            print_tracker(tracker);
+        }
+    }
+    for dismissed in &report.dismissed {
+        let at = dismissed.tip_mm;
+        println!(
+            "no branch  at ({:.1}, {:.1}, {:.1}) mm, {:.1} mm beyond the wall, {} frames: {}",
+            at.x, at.y, at.z, dismissed.depth_mm, dismissed.frames, dismissed.reason
+        );
+    }
+    println!(
+        "vessel     {} nodes, {} of them supported; {} part{}, {} openings",
+        report.nodes,
+        report.supported,
+        report.topology.components,
+        if report.topology.components == 1 { "" } else { "s" },
+        report.topology.boundary_loops
+    );
+    let seconds = report.seconds;
+    println!(
+        "time       {:.1} ms finding the branches, {:.1} ms sweeping them, {:.1} ms joining, {:.1} ms fitting where they meet",
+        seconds.tree * 1e3,
+        (report.total_s() - seconds.tree - seconds.join - seconds.fit) * 1e3,
+        seconds.join * 1e3,
+        seconds.fit * 1e3
     );
 }
 

@@ -1,7 +1,7 @@
 use super::conventions::ConventionArguments;
 use super::numbers;
 use crate::recording::Recording;
-use crate::settings::{Backend, Merge, Method, Outliers, Settings, Statistic, UnfitFrames};
+use crate::settings::{Backend, Branches, Merge, Method, Outliers, Settings, Statistic, UnfitFrames};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -55,6 +55,9 @@ pub(super) struct SettingsArguments {
     /// Of a sweep: how much a wall is expected to bend within its own size [default: 0.125]
     #[arg(long, value_name = "TAU")]
     roughness: Option<f64>,
+    /// Of a sweep: what becomes of a vessel that branches [default: auto]
+    #[arg(long, value_enum)]
+    branches: Option<Branches>,
     /// Of a sweep: keep the parts that no echo supports
     #[arg(long)]
     keep_unsupported: bool,
@@ -130,6 +133,7 @@ impl SettingsArguments {
             settings.sweep.nodes = self.sweep_nodes;
         }
         set(&mut settings.sweep.roughness, self.roughness);
+        set(&mut settings.sweep.branches, self.branches);
         settings.sweep.keep_unsupported |= self.keep_unsupported;
         settings.sweep.correct_poses |= self.correct_poses;
         settings.sweep.even_smoothness |= self.even_smoothness;
@@ -169,6 +173,7 @@ impl SettingsArguments {
         let of_sweep = [
             ("sweep.nodes", self.sweep_nodes.is_some()),
             ("sweep.roughness", self.roughness.is_some()),
+            ("sweep.branches", self.branches.is_some()),
             ("sweep.keep_unsupported", self.keep_unsupported),
             ("sweep.correct_poses", self.correct_poses),
             ("sweep.even_smoothness", self.even_smoothness),

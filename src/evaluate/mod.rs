@@ -8,8 +8,8 @@ mod region;
 mod systematic;
 mod volume;
 
-pub use coverage::Coverage;
 pub use crate::surface::{Closest, Locator};
+pub use coverage::Coverage;
 pub use region::Region;
 pub use systematic::SystematicErrors;
 pub use volume::{Volumes, closed_volume_mm3};

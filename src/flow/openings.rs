@@ -1,7 +1,7 @@
 //! Openings of a vessel: ends that are cut flat, prolonged and capped, and holes in its wall.
 
-use crate::surface::remesh::Patches;
 use crate::geometry::polygon::triangulate;
+use crate::surface::remesh::Patches;
 use crate::surface::{Groups, Surface};
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};

@@ -7,9 +7,10 @@ mod snapshot;
 
 pub use live::{Change, Live, Times, Work};
 
+use crate::branching::{BranchedSweep, BranchesReport};
 use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, engine};
 use crate::recording::{Recording, Screened, Screening};
-use crate::settings::{Method, Settings};
+use crate::settings::{Branches, Method, Settings};
 use crate::surface::Surface;
 use crate::sweep::{Sweep, SweepReport};
 use crate::{Error, Result};
@@ -111,7 +112,14 @@ impl<'a> Reconstructor<'a> {
             }
             Method::Sweep => {
                 let tell = |stage, done, total| (self.on_progress)(Progress { stage, done, total });
-                Vessel::Sweep(Sweep::run(recording, &self.settings, &tell).map_err(named)?)
+                let branched = match self.settings.sweep.branches {
+                    Branches::Auto => BranchedSweep::of(recording, &self.settings, &tell).map_err(named)?,
+                    Branches::Off => None,
+                };
+                match branched {
+                    Some(branched) => Vessel::Branches(branched),
+                    None => Vessel::Sweep(Sweep::run(recording, &self.settings, &tell).map_err(named)?),
+                }
             }
         };
         Ok(Lumen { settings: self.settings.clone(), screening, vessel })
@@ -142,6 +150,7 @@ pub struct Lumen {
 enum Vessel {
     Cylinders(CylinderReconstruction),
     Sweep(Sweep),
+    Branches(BranchedSweep),
 }
 
 /// What was done, in numbers, by either method.
@@ -153,6 +162,8 @@ pub enum LumenReport<'a> {
     Cylinders(&'a CylindersReport),
     /// By the sweep.
     Sweep(&'a SweepReport),
+    /// By the sweep, of a vessel that branches.
+    Branches(&'a BranchesReport),
 }
 
 /// All that is known of a reconstruction beside its mesh, as `lumenmesh reconstruct --json` prints it.
@@ -184,12 +195,13 @@ impl Lumen {
         &self.screening
     }
 
-    /// The lumen as a triangle surface with arrays per node: [`MergedVessel::surface`](crate::cylinders::merge::MergedVessel::surface)
-    /// and [`Sweep::surface`] say which. Parts of a sweep that no echo supports are cut off unless the settings keep them.
+    /// The lumen as a triangle surface with arrays per node: [`MergedVessel::surface`](crate::cylinders::merge::MergedVessel::surface),
+    /// [`Sweep::surface`] and [`BranchedSweep::surface`] say which. Parts of a sweep that no echo supports are cut off unless the settings keep them.
     pub fn surface(&self) -> Surface {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => cylinders.vessel.surface(),
             Vessel::Sweep(sweep) => sweep.surface(self.settings.sweep.keep_unsupported),
+            Vessel::Branches(branched) => branched.surface(self.settings.sweep.keep_unsupported),
         }
     }
 
@@ -198,6 +210,7 @@ impl Lumen {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => LumenReport::Cylinders(&cylinders.report),
             Vessel::Sweep(sweep) => LumenReport::Sweep(&sweep.report),
+            Vessel::Branches(branched) => LumenReport::Branches(&branched.report),
         }
     }
 
@@ -205,15 +218,23 @@ impl Lumen {
     pub fn cylinders(&self) -> Option<&CylinderReconstruction> {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => Some(cylinders),
-            Vessel::Sweep(_) => None,
+            Vessel::Sweep(_) | Vessel::Branches(_) => None,
         }
     }
 
-    /// Axis, radii and support of the sweep; `None` of cylinders.
+    /// Axis, radii and support of the sweep; `None` of cylinders, and of a vessel that branches.
     pub fn sweep(&self) -> Option<&Sweep> {
         match &self.vessel {
             Vessel::Sweep(sweep) => Some(sweep),
-            Vessel::Cylinders(_) => None,
+            Vessel::Cylinders(_) | Vessel::Branches(_) => None,
+        }
+    }
+
+    /// The branches and their sweeps; `None` of cylinders, and of a vessel in which one branch was found.
+    pub fn branches(&self) -> Option<&BranchedSweep> {
+        match &self.vessel {
+            Vessel::Branches(branched) => Some(branched),
+            Vessel::Cylinders(_) | Vessel::Sweep(_) => None,
         }
     }
 }

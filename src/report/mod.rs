@@ -1,6 +1,7 @@
 //! Pictures of meshes, plots, and HTML pages of both.
 
 mod anatomy;
+mod branches;
 mod cylinders;
 mod experiments;
 mod page;

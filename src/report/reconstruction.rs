@@ -4,7 +4,7 @@ use super::page::{Page, Table};
 use super::plot::{Violin, violins};
 use super::render::Style;
 use super::rows::{VIOLIN, facts};
-use super::{anatomy, cylinders, sweep};
+use super::{anatomy, branches, cylinders, sweep};
 use crate::Result;
 use crate::anatomy::VesselTree;
 use crate::evaluate::{self, Evaluation, SystematicErrors, Truth};
@@ -145,6 +145,7 @@ fn summary(page: &mut Page, content: &PageContent) {
     rows.extend(match content.lumen.report() {
         LumenReport::Cylinders(report) => cylinders::summary_rows(report),
         LumenReport::Sweep(report) => sweep::summary_rows(report),
+        LumenReport::Branches(report) => branches::summary_rows(report),
     });
     page.table(&facts(rows));
     if !screening.left_out.is_empty() {

@@ -8,7 +8,7 @@ use crate::sweep::{AlikeErrors, Sweep, SweepReport};
 
 pub(super) fn summary_rows(report: &SweepReport) -> Vec<(&'static str, String)> {
     let seconds = &report.seconds;
-    let milliseconds = (seconds.axis + seconds.place + seconds.fit + seconds.errors + seconds.support) * 1e3;
+    let milliseconds = seconds.total() * 1e3;
     vec![
         ("method", "sweep".into()),
         ("vessel", format!("{:.0} mm, {} rings, {} nodes", report.length_mm, report.rings, report.nodes)),

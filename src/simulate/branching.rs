@@ -2,8 +2,9 @@
 
 use super::vessel::drop_unused_nodes;
 use crate::surface::Surface;
+use crate::surface::marching::Lattice;
 use crate::{Error, Result};
-use glam::DVec3;
+use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -58,85 +59,22 @@ const FILLET_MM: f64 = 2.0;
 
 /// The wall of a union of tubes within a box, open where the box cuts it.
 ///
-/// Marching tetrahedra: every cell of a lattice is split into six about its diagonal, alike in all cells, so that the
-/// triangles of neighbours fit. A. Doi, A. Koide, *An efficient method of triangulating equi-valued surfaces by using
-/// tetrahedral cells*, IEICE Transactions 74(1), 1991.
-///
 /// # Errors
 /// [`Error::Setting`] for edges so short that the wall does not fit in memory.
 pub(super) fn wall(limbs: &[Limb], low_mm: DVec3, high_mm: DVec3, edge_mm: f64) -> Result<Surface> {
     not_too_fine(edge_mm, ((high_mm - low_mm) / edge_mm).element_product())?;
-    let cells = ((high_mm - low_mm) / edge_mm).ceil().max(DVec3::ONE).as_u64vec3();
-    let step = (high_mm - low_mm) / cells.as_dvec3();
-    let lattice = cells + 1;
-    let at = |i: u64, j: u64, k: u64| (k * lattice.y + j) * lattice.x + i;
-    let place = |n: u64| {
-        let (i, j, k) = (n % lattice.x, n / lattice.x % lattice.y, n / (lattice.x * lattice.y));
-        low_mm + DVec3::new(i as f64, j as f64, k as f64) * step
-    };
-    let field: Vec<f64> = (0..lattice.element_product())
+    let count = ((high_mm - low_mm) / edge_mm).ceil().max(DVec3::ONE).as_i64vec3();
+    let lattice = Lattice { origin_mm: low_mm, step_mm: (high_mm - low_mm) / count.as_dvec3() };
+    let half_diagonal_mm = 0.51 * lattice.step_mm.length();
+    let cells: Vec<I64Vec3> = (0..count.element_product())
         .into_par_iter()
-        .map(|n| {
-            let d = distance_mm(limbs, place(n));
-            // No lattice point lies on the wall itself: triangles would shrink to nothing there.
-            let least = 0.02 * edge_mm;
-            if d < 0.0 { d.min(-least) } else { d.max(least) }
+        .map(|n| I64Vec3::new(n % count.x, n / count.x % count.y, n / (count.x * count.y)))
+        .filter(|cell| {
+            let middle = low_mm + (cell.as_dvec3() + 0.5) * lattice.step_mm;
+            distance_mm(limbs, middle).abs() < half_diagonal_mm
         })
         .collect();
-    let mut surface = Surface::default();
-    let mut crossings: HashMap<(u64, u64), u32> = HashMap::new();
-    let mut crossing = |surface: &mut Surface, a: u64, b: u64| {
-        *crossings.entry((a.min(b), a.max(b))).or_insert_with_key(|&(a, b)| {
-            let (fa, fb) = (field[a as usize], field[b as usize]);
-            surface.nodes_mm.push(place(a).lerp(place(b), fa / (fa - fb)));
-            (surface.nodes_mm.len() - 1) as u32
-        })
-    };
-    for k in 0..cells.z {
-        for j in 0..cells.y {
-            for i in 0..cells.x {
-                let corner = |n: u64| field[at(i + (n & 1), j + (n >> 1 & 1), k + (n >> 2)) as usize] < 0.0;
-                if (1..8).all(|n| corner(n) == corner(0)) {
-                    continue;
-                }
-                for path in DIAGONAL_PATHS {
-                    // From the cell's lowest corner to its highest, one axis after the other.
-                    let mut corner = [i, j, k];
-                    let mut tetrahedron = [at(i, j, k); 4];
-                    for (node, axis) in tetrahedron[1..].iter_mut().zip(path) {
-                        corner[axis] += 1;
-                        *node = at(corner[0], corner[1], corner[2]);
-                    }
-                    let [inside, outside] = [true, false].map(|side| {
-                        let here = |n: &u64| (field[*n as usize] < 0.0) == side;
-                        tetrahedron.iter().copied().filter(here).collect::<Vec<_>>()
-                    });
-                    let around = match (inside.as_slice(), outside.as_slice()) {
-                        (&[a], &[b, c, d]) => vec![(a, b), (a, c), (a, d)],
-                        (&[b, c, d], &[a]) => vec![(a, b), (a, c), (a, d)],
-                        (&[a, b], &[c, d]) => vec![(a, c), (a, d), (b, d), (b, c)],
-                        _ => continue,
-                    };
-                    let corners: Vec<u32> =
-                        around.iter().map(|&(a, b)| crossing(&mut surface, a, b)).collect();
-                    let mean =
-                        |nodes: &[u64]| nodes.iter().map(|&n| place(n)).sum::<DVec3>() / nodes.len() as f64;
-                    let outward = mean(&outside) - mean(&inside);
-                    for pair in corners[1..].windows(2) {
-                        let triangle = [corners[0], pair[0], pair[1]];
-                        let [a, b, c] = triangle.map(|n| surface.nodes_mm[n as usize]);
-                        let faces_out = (b - a).cross(c - a).dot(outward) > 0.0;
-                        surface.triangles.push(if faces_out {
-                            triangle
-                        } else {
-                            [triangle[0], triangle[2], triangle[1]]
-                        });
-                    }
-                }
-            }
-        }
-    }
-    Ok(surface)
+    Ok(lattice.zero_surface(&cells, |p| distance_mm(limbs, p)))
 }
 
 /// Refuses edges so short that the wall does not fit in memory.
@@ -207,9 +145,6 @@ pub(super) fn open(surface: &mut Surface, end: &End, edge_mm: f64) {
     surface.triangles = kept;
     drop_unused_nodes(surface);
 }
-
-/// The orders in which the three axes lead from one end of a cell's diagonal to the other.
-const DIAGONAL_PATHS: [[usize; 3]; 6] = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
 
 #[cfg(test)]
 mod tests {

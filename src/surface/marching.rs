@@ -36,8 +36,7 @@ impl Lattice {
     /// The surface where `field` is zero, within some cells, given each once; normals point to where it is positive.
     /// Positions along the lattice's edges are found by bisection, so `field` needs no slope: it may be infinite.
     pub(crate) fn zero_surface(&self, cells: &[I64Vec3], field: impl Fn(DVec3) -> f64 + Sync) -> Surface {
-        let corners_of =
-            |cell: I64Vec3| (0..8).map(move |k| cell + I64Vec3::new(k & 1, k >> 1 & 1, k >> 2));
+        let corners_of = |cell: I64Vec3| (0..8).map(move |k| cell + I64Vec3::new(k & 1, k >> 1 & 1, k >> 2));
         let key = |c: &I64Vec3| c.to_array();
         let mut corners: Vec<I64Vec3> = cells.iter().copied().flat_map(corners_of).collect();
         corners.par_sort_unstable_by_key(key);

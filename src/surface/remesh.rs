@@ -4,8 +4,8 @@
 //!
 //! Patches keep their borders: nodes on a seam, the edges between two patches or at an opening, stay on it.
 
-use crate::Result;
 use super::Locator;
+use crate::Result;
 use crate::surface::Surface;
 use glam::DVec3;
 use rayon::prelude::*;

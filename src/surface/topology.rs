@@ -117,6 +117,21 @@ impl Surface {
         self
     }
 
+    /// The surface without the parts that have less than a share of all triangles.
+    #[must_use]
+    pub(crate) fn without_small_parts(mut self, least_share: f64) -> Self {
+        let mut parts = Groups::new(self.nodes_mm.len());
+        for &[a, b, c] in &self.triangles {
+            parts.join(a, b);
+            parts.join(b, c);
+        }
+        let mut count = vec![0_usize; self.nodes_mm.len()];
+        self.triangles.iter().for_each(|t| count[parts.root(t[0]) as usize] += 1);
+        let least = least_share * self.triangles.len() as f64;
+        self.triangles.retain(|t| count[parts.root(t[0]) as usize] as f64 >= least);
+        self
+    }
+
     /// The surface without the nodes that no triangle uses, and with their arrays.
     #[must_use]
     pub(crate) fn without_loose_nodes(mut self) -> Self {

@@ -80,6 +80,14 @@ pub struct SweepTimings {
     pub support: f64,
 }
 
+impl SweepTimings {
+    /// The sum of all stages, s.
+    pub fn total(&self) -> f64 {
+        let Self { axis, place, fit, tracker, errors, support } = self;
+        axis + place + fit + tracker + errors + support
+    }
+}
+
 /// Does some work and stores its wall-clock time in `seconds`.
 pub(super) fn timed<R>(seconds: &mut f64, work: impl FnOnce() -> R) -> R {
     let start = Instant::now();

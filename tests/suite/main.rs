@@ -11,6 +11,8 @@ mod anatomy;
 mod batch;
 mod blend;
 #[cfg(feature = "cli")]
+mod branching;
+#[cfg(feature = "cli")]
 mod coronary;
 mod cylinder_estimate;
 mod evaluate;

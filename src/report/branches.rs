@@ -1,0 +1,26 @@
+//! What a page shows of a vessel that branches.
+
+use super::rows::engine_row;
+use crate::branching::{BranchReport, BranchesReport};
+
+pub(super) fn summary_rows(report: &BranchesReport) -> Vec<(&'static str, String)> {
+    let of_branch = |(number, branch): (usize, &BranchReport)| {
+        let sweep = &branch.sweep;
+        let from = branch.parent.map_or_else(String::new, |parent| format!(", from branch {parent}"));
+        format!("{number}: {:.0} mm of {:.1} mm radius{from}", sweep.length_mm, sweep.contour_radius_mm)
+    };
+    let branches: Vec<String> = report.branches.iter().enumerate().map(of_branch).collect();
+    let mut rows = vec![
+        ("method", "sweep of every branch, joined".into()),
+        ("branches", branches.join("; ")),
+        ("vessel", format!("{} nodes, {} of them supported", report.nodes, report.supported)),
+    ];
+    if let Some(first) = report.branches.first() {
+        rows.push(("engine", engine_row(&first.sweep.engine, first.sweep.threads)));
+    }
+    rows.push((
+        "time",
+        format!("{:.0} ms: branches, their sweeps, joining, fitting where they meet", report.total_s() * 1e3),
+    ));
+    rows
+}

@@ -1,0 +1,243 @@
+//! Vessels that branch: the branches that are found, and the one surface of them.
+
+use crate::support::vessel::{coverage, mean_error_mm, simulated};
+use crate::support::{lumenmesh, python_with};
+use lumenmesh::branching::BranchTree;
+use lumenmesh::evaluate::Locator;
+use lumenmesh::geometry::Pose;
+use lumenmesh::glam::DVec3;
+use lumenmesh::reconstruction::{Lumen, LumenReport, Reconstructor};
+use lumenmesh::recording::Recording;
+use lumenmesh::settings::{Branches, Settings};
+use lumenmesh::simulate::{Insertion, Move, Noise, Phantom, Probe, Shape, Simulation, SimulationSettings, Visit};
+use lumenmesh::surface::Surface;
+
+fn swept(recording: &Recording, branches: Branches) -> Lumen {
+    let mut settings = Settings::default();
+    settings.sweep.branches = branches;
+    Reconstructor::new(settings).run(recording).unwrap()
+}
+
+/// A recording that visits branches one after the other, with the thesis's noise.
+fn visiting(shape: &str, visits: &[usize], insertion: Insertion) -> Simulation {
+    let visits = visits.iter().map(|&branch| Visit::new(branch, None)).collect();
+    let settings = SimulationSettings::default().with_insertion(insertion.with_visits(visits));
+    simulated(shape, &settings)
+}
+
+/// Distances from the nodes about the partings, within two radii, to the wall.
+fn near_partings_mm(lumen: &Lumen, surface: &Surface, wall: &Surface) -> Vec<f64> {
+    let report = &lumen.branches().unwrap().report;
+    let partings: Vec<(DVec3, f64)> = report
+        .branches
+        .iter()
+        .filter_map(|branch| Some((branch.parting_mm?, branch.sweep.contour_radius_mm)))
+        .collect();
+    let is_near = |p: &DVec3| partings.iter().any(|(at, radius)| at.distance(*p) < 2.0 * radius);
+    let near: Vec<DVec3> = surface.nodes_mm.iter().copied().filter(is_near).collect();
+    let closest = Locator::new(wall).unwrap().closest_all(&near);
+    let mut distances: Vec<f64> = closest.iter().filter(|c| !c.on_rim).map(|c| c.distance_mm).collect();
+    distances.sort_by(f64::total_cmp);
+    distances
+}
+
+#[test]
+fn visited_branches_become_one_surface() {
+    for (shape, visits) in [("bifurcation", &[0, 1][..]), ("side_branch", &[0, 1]), ("tree", &[0, 1, 2, 3])] {
+        let simulation = visiting(shape, visits, Insertion::default());
+        let wall = simulation.vessel.surface();
+        let lumen = swept(&simulation.recording, Branches::Auto);
+        let branched = lumen.branches().unwrap();
+        assert_eq!(branched.sweeps.len(), visits.len(), "{shape}");
+
+        let whole = branched.surface(true).topology();
+        assert!(whole.is_oriented_manifold() && whole.components == 1, "{shape}: {whole:?}");
+        assert_eq!(whole.boundary_loops, visits.len() + 1, "{shape}: open at its ends only");
+        // A sphere less one disc per opening: nothing bridges the branches.
+        assert_eq!(whole.euler_characteristic, 2 - (visits.len() as i64 + 1), "{shape}");
+
+        let surface = lumen.surface();
+        let mean_mm = mean_error_mm(&surface, wall);
+        let covered = coverage(&surface, &simulation.truth_recording);
+        let near_mm = near_partings_mm(&lumen, &surface, wall);
+        let p95_mm = near_mm[near_mm.len() * 95 / 100];
+        println!("{shape}: mean {mean_mm:.3} mm, coverage {covered:.4}, p95 about the partings {p95_mm:.3} mm");
+        assert!(mean_mm < 0.08, "{shape}: {mean_mm}");
+        assert!(covered > 0.97, "{shape}: {covered}");
+        assert!(p95_mm < 0.5, "{shape}: {p95_mm}");
+        // One tube alone misses most of the other branches.
+        let single = swept(&simulation.recording, Branches::Off);
+        assert!(single.branches().is_none());
+        let of_one = coverage(&single.surface(), &simulation.truth_recording);
+        assert!(of_one < covered - 0.03, "{shape}: {of_one} against {covered}");
+
+        let branch = surface.array("branch").unwrap();
+        assert!(visits.iter().all(|&b| branch.iter().any(|&of| of == b as f64)), "{shape}");
+    }
+}
+
+#[test]
+fn the_surface_does_not_cross_itself() {
+    let Some(python) = python_with("numpy, pymeshlab") else { return };
+    let simulation = visiting("tree", &[0, 1, 2, 3], Insertion::default());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("tree.ply");
+    swept(&simulation.recording, Branches::Auto).surface().write(&path).unwrap();
+    let said = python.run(
+        "
+import sys, numpy as np, pymeshlab
+lab = pymeshlab.MeshSet(); lab.load_new_mesh(sys.argv[1])
+def crossing():
+    lab.compute_selection_by_self_intersections_per_face()
+    return lab.current_mesh().selected_face_number()
+assert crossing() == 0, crossing()
+mesh = lab.current_mesh(); points = mesh.vertex_matrix().copy(); middle = points.mean(0)
+far = int(np.argmax(np.linalg.norm(points - middle, axis=1)))
+points[far] = 2 * middle - points[far] + 1.0
+lab.add_mesh(pymeshlab.Mesh(points, mesh.face_matrix()))
+assert crossing() > 0
+print('ok')
+",
+        &[&path],
+    );
+    assert_eq!(said.trim(), "ok");
+}
+
+#[test]
+fn a_vessel_without_branches_is_swept_as_without_looking_for_them() {
+    for shape in ["small_arch", "aneurysm"] {
+        let simulation = simulated(shape, &SimulationSettings::default());
+        let found = swept(&simulation.recording, Branches::Auto);
+        assert!(found.branches().is_none() && found.sweep().is_some(), "{shape}");
+        assert_eq!(found.surface(), swept(&simulation.recording, Branches::Off).surface(), "{shape}");
+    }
+    // One of two branches: the other one was not entered.
+    let simulation = visiting("bifurcation", &[1], Insertion::default());
+    assert!(swept(&simulation.recording, Branches::Auto).branches().is_none());
+}
+
+#[test]
+fn branches_do_not_depend_on_the_threads() {
+    let simulation = visiting("side_branch", &[1, 0], Insertion::steady());
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| swept(&simulation.recording, Branches::Auto).surface())
+    };
+    assert_eq!(on(1), on(5));
+}
+
+/// Simulated recordings with returns, detours, rests and second passes, and how many branches each visits.
+fn wanderings(count: u64) -> impl Iterator<Item = (String, Simulation, usize)> {
+    let shapes: [(&str, usize); 8] = [
+        ("bifurcation", 2),
+        ("side_branch", 2),
+        ("tree", 4),
+        ("deep_tree", 8),
+        ("aorta", 1),
+        ("small_arch", 1),
+        ("aneurysm", 1),
+        ("stenosis", 1),
+    ];
+    (0..count).map(move |seed| {
+        let (shape, ends) = shapes[seed as usize % shapes.len()];
+        let round = seed as usize / shapes.len();
+        // Every branch, some of them twice, in turning order; each second recording stops at a part of them.
+        let visited = if round % 2 == 0 { ends } else { ends.div_ceil(2) };
+        let mut visits: Vec<usize> = (0..visited).map(|k| (k * 3 + round) % ends).collect();
+        visits.sort_unstable();
+        visits.dedup();
+        if round % 3 == 0 {
+            visits.reverse();
+        }
+        let distinct = visits.len();
+        if round % 3 == 1 {
+            visits.push(visits[0]);
+        }
+        // To and fro, with the tip bent and turned by different amounts.
+        let moves = match round % 4 {
+            0 => Insertion::default().moves,
+            1 => vec![
+                Move::Advance { distance_mm: 30.0 },
+                Move::Withdraw { distance_mm: 15.0 },
+                Move::Rest { duration_s: 2.0 },
+            ],
+            2 => vec![
+                Move::Advance { distance_mm: 15.0 },
+                Move::Bend { angle_deg: 60.0 },
+                Move::Turn { angle_deg: -540.0 },
+                Move::Withdraw { distance_mm: 5.0 },
+                Move::Bend { angle_deg: 0.0 },
+            ],
+            _ => vec![Move::Advance { distance_mm: 500.0 }, Move::Withdraw { distance_mm: 20.0 }],
+        };
+        let insertion = Insertion::default()
+            .with_moves(moves)
+            .with_repeat(round % 4 != 3)
+            .with_record_withdrawals(round % 5 != 4)
+            .with_visits(visits.iter().map(|&branch| Visit::new(branch, None)).collect());
+        let settings = SimulationSettings::default()
+            .with_insertion(insertion)
+            .with_probe(Probe::default().with_rays(if round % 2 == 0 { 90 } else { 60 }))
+            .with_noise(Noise::default().with_seed(seed));
+        let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).with_edge_mm(2.0).vessel().unwrap();
+        (format!("{shape} {seed}"), Simulation::run(vessel, &settings).unwrap(), distinct)
+    })
+}
+
+/// The share of recordings in which the right number of branches is found.
+fn rightly_found(count: u64) -> f64 {
+    let mut wrong = 0;
+    for (name, simulation, visited) in wanderings(count) {
+        let tree = BranchTree::of(&simulation.recording.frames, &Pose::IDENTITY);
+        if tree.branches.len() != visited {
+            println!("{name}: {} branches, {visited} visited", tree.branches.len());
+            wrong += 1;
+        }
+    }
+    println!("{wrong} of {count} recordings with the wrong number of branches");
+    1.0 - f64::from(wrong) / count as f64
+}
+
+#[test]
+fn the_right_number_of_branches_is_found() {
+    assert_eq!(rightly_found(24), 1.0);
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn the_right_number_of_branches_is_found_in_200_recordings() {
+    assert!(rightly_found(200) >= 0.98);
+}
+
+#[test]
+fn the_command_names_the_branches() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let (status, said, errors) = lumenmesh(arguments, folder.path());
+        assert!(status == 0, "{arguments:?}\n{said}{errors}");
+        said
+    };
+    run(&["simulate", "--vessel", "side_branch", "--branches", "0,1", "--steady", "-o", "two.mat"]);
+    let said = run(&["reconstruct", "two.mat", "-o", "two.vtp"]);
+    assert!(said.contains("sweep of 2 branches") && said.contains("leaves branch 0 at"), "{said}");
+    let json = run(&["reconstruct", "two.mat", "-o", "two.vtp", "--json"]);
+    let report: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(report["branches"].as_array().unwrap().len(), 2);
+    assert_eq!(report["branches"][1]["parent"], 0);
+    assert!(report["branches"][1]["reason"].as_str().unwrap().contains("beyond the wall of branch 0"));
+    let said = run(&["reconstruct", "two.mat", "-o", "one.vtp", "--branches", "off"]);
+    assert!(said.contains("method     sweep\n"), "{said}");
+    let (status, _, errors) =
+        lumenmesh(&["reconstruct", "two.mat", "-o", "x.vtp", "--branches", "all"], folder.path());
+    assert!(status == 2 && errors.contains("auto"), "{errors}");
+}
+
+#[test]
+fn a_report_of_branches_is_one_of_a_kind() {
+    let simulation = visiting("bifurcation", &[0, 1], Insertion::steady());
+    let lumen = swept(&simulation.recording, Branches::Auto);
+    let LumenReport::Branches(report) = lumen.report() else { panic!("not of branches") };
+    let frames: usize = report.branches.iter().map(|branch| branch.sweep.frames).sum();
+    assert_eq!(frames + report.frames_left_out.len(), simulation.recording.frames.len());
+    assert!(lumen.sweep().is_none() && lumen.cylinders().is_none());
+}
