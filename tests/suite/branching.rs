@@ -12,6 +12,14 @@ use lumenmesh::settings::{Branches, Settings};
 use lumenmesh::simulate::{Insertion, Move, Noise, Phantom, Probe, Shape, Simulation, SimulationSettings, Visit};
 use lumenmesh::surface::Surface;
 
+/// All of a surface; numbers that are none are equal.
+fn bits(surface: &Surface) -> impl PartialEq + std::fmt::Debug {
+    let nodes: Vec<[u64; 3]> = surface.nodes_mm.iter().map(|p| p.to_array().map(f64::to_bits)).collect();
+    let values = |of: &[f64]| of.iter().map(|v| v.to_bits()).collect::<Vec<u64>>();
+    let arrays: Vec<_> = surface.arrays.iter().map(|a| (a.name.clone(), values(&a.values))).collect();
+    (nodes, surface.triangles.clone(), arrays)
+}
+
 fn swept(recording: &Recording, branches: Branches) -> Lumen {
     let mut settings = Settings::default();
     settings.sweep.branches = branches;
@@ -109,7 +117,8 @@ fn a_vessel_without_branches_is_swept_as_without_looking_for_them() {
         let simulation = simulated(shape, &SimulationSettings::default());
         let found = swept(&simulation.recording, Branches::Auto);
         assert!(found.branches().is_none() && found.sweep().is_some(), "{shape}");
-        assert_eq!(found.surface(), swept(&simulation.recording, Branches::Off).surface(), "{shape}");
+        let off = swept(&simulation.recording, Branches::Off);
+        assert!(bits(&found.surface()) == bits(&off.surface()), "{shape}");
     }
     // One of two branches: the other one was not entered.
     let simulation = visiting("bifurcation", &[1], Insertion::default());
@@ -123,7 +132,11 @@ fn branches_do_not_depend_on_the_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| swept(&simulation.recording, Branches::Auto).surface())
     };
-    assert_eq!(on(1), on(5));
+    let one = on(1);
+    assert!(bits(&one) == bits(&on(5)));
+    let mut other = one.clone();
+    other.nodes_mm[7].x += 1e-12;
+    assert!(bits(&one) != bits(&other));
 }
 
 /// Simulated recordings with returns, detours, rests and second passes, and how many branches each visits.
@@ -155,6 +168,8 @@ fn wanderings(count: u64) -> impl Iterator<Item = (String, Simulation, usize)> {
         }
         // To and fro, with the tip bent and turned by different amounts.
         let moves = match round % 4 {
+            // The finest twigs leave a bent tip no room.
+            0 | 2 if shape == "deep_tree" => Insertion::steady().moves,
             0 => Insertion::default().moves,
             1 => vec![
                 Move::Advance { distance_mm: 30.0 },
