@@ -12,7 +12,7 @@ use serde::Serialize;
 /// How far errors of the calibration move a wall outward or inward, to first order: root mean squares over the wall's
 /// nodes.
 ///
-/// Echoes from all rolls and bends agree on a wall that a wrong calibration has moved as a whole, so no residual shows it.
+/// Echoes from all rolls and bends agree on a wall that a wrong calibration has moved as a whole, so residuals hardly show it.
 /// Where a place of the wall was seen at several rolls, their shifts partly cancel: that is in the numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
