@@ -3,8 +3,8 @@
 use super::SimulationSettings;
 use super::faults::{Burst, PointOrder, ShadowFill};
 
-/// An error that laboratories meet, as settings of a simulation. Lengths go with the vessel's radius R, and what a kind does
-/// not name is left as it is.
+/// An error that laboratories meet, as settings of a simulation. Lengths go with the vessel's radius R, and
+/// what a kind does not name is left as it is.
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
 pub struct FaultKind {
