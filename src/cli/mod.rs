@@ -75,7 +75,7 @@ enum Command {
     Batch(batch::Arguments),
     Demo(demo::Arguments),
     Bench(bench::Arguments),
-    Simulate(simulate::Arguments),
+    Simulate(Box<simulate::Arguments>),
     Experiments(experiments::Arguments),
     Study(study::Arguments),
     Live(Box<live::Arguments>),

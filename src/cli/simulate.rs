@@ -68,7 +68,8 @@ pub(super) struct Arguments {
     /// Also write the centrelines of its branches: CSV
     #[arg(long, value_name = "CSV")]
     truth_centreline: Option<PathBuf>,
-    /// Also write which branch the catheter is in in every frame, and where: CSV with frame, time_s, visit, branch, s_mm
+    /// Also write which branch the catheter is in in every frame, and where: CSV with frame, time_s, visit,
+    /// branch, s_mm
     #[arg(long, value_name = "CSV")]
     truth_branches: Option<PathBuf>,
     /// Also write the recording without any noise

@@ -9,11 +9,12 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// How far errors of the calibration move a wall outward or inward, to first order: root mean squares over the wall's
-/// nodes.
+/// How far errors of the calibration move a wall outward or inward, to first order: root mean squares over the
+/// wall's nodes.
 ///
-/// Echoes from all rolls and bends agree on a wall that a wrong calibration has moved as a whole, so no residual shows it.
-/// Where a place of the wall was seen at several rolls, their shifts partly cancel: that is in the numbers.
+/// Echoes from all rolls and bends agree on a wall that a wrong calibration has moved as a whole, so residuals
+/// hardly show it. Where a place of the wall was seen at several rolls, their shifts partly cancel: that is in
+/// the numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct SystematicErrors {
@@ -35,7 +36,8 @@ impl SystematicErrors {
         let normals = wall.triangle_normals();
         let echoes: usize = recording.frames.iter().map(|f| f.contour_mm.len()).sum();
         let step = echoes.div_ceil(MAX_ECHOES).max(1);
-        // Of every echo, the node that it speaks of and by how much a unit of each error moves it along the normal.
+        // Of every echo, the node that it speaks of and by how much a unit of each error moves it along the
+        // normal.
         let moves: Vec<(u32, [f64; ERRORS])> = recording
             .frames
             .par_iter()

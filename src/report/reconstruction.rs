@@ -183,8 +183,8 @@ fn systematic(page: &mut Page, content: &PageContent, mesh: &Surface) -> Result<
     };
     page.heading("What the recording cannot show");
     page.paragraph(
-        "An error of the probe's calibration or of the assumed speed of sound moves the wall and leaves no trace in the \
-         residuals or in the standard errors. It would move the wall by so much outward or inward (root mean square over the \
+        "An error of the probe's calibration or of the assumed speed of sound moves the wall and leaves little or no trace \
+         in the residuals and the standard errors. It would move the wall by so much outward or inward (root mean square over the \
          nodes):",
     );
     let [x, y, z] = errors.offset_mm_per_mm.map(|mm| format!("{mm:.2} mm"));

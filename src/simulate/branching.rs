@@ -24,7 +24,8 @@ impl Limb {
         Self { middle_mm, radius_mm, ball_centre_mm, ball_radius_mm }
     }
 
-    /// Distance from a point to the tube's wall, mm; negative inside. Farther than [`FAR_MM`] from it, less is returned.
+    /// Distance from a point to the tube's wall, mm; negative inside. Farther than [`FAR_MM`] from it, less is
+    /// returned.
     fn distance_mm(&self, p: DVec3) -> f64 {
         let at_least_mm = p.distance(self.ball_centre_mm) - self.ball_radius_mm - self.radius_mm;
         if at_least_mm > FAR_MM {
@@ -45,8 +46,8 @@ const FAR_MM: f64 = 25.0;
 
 /// Distance from a point to the wall of the union, mm; negative inside.
 ///
-/// Where the walls of two tubes are nearer than [`FILLET_MM`] to each other they run into each other smoothly, which
-/// moves the wall out by up to a quarter of that (the polynomial smooth minimum of I. Quilez).
+/// Where the walls of two tubes are nearer than [`FILLET_MM`] to each other they run into each other smoothly,
+/// which moves the wall out by up to a quarter of that (the polynomial smooth minimum of I. Quilez).
 pub(super) fn distance_mm(limbs: &[Limb], p: DVec3) -> f64 {
     limbs.iter().map(|limb| limb.distance_mm(p)).fold(f64::INFINITY, |a, b| {
         let near = (1.0 - (a - b).abs() / FILLET_MM).max(0.0);
@@ -99,8 +100,8 @@ pub(super) struct End {
 
 /// Opens the wall at an end, where the tube is straight.
 pub(super) fn open(surface: &mut Surface, end: &End, edge_mm: f64) {
-    // How far beyond the end a node lies. Nodes beside it are moved into it, so that no triangle shrinks to nothing: a
-    // straight tube has its wall there too.
+    // How far beyond the end a node lies. Nodes beside it are moved into it, so that no triangle shrinks to
+    // nothing: a straight tube has its wall there too.
     let mut beyond_mm: Vec<f64> = Vec::with_capacity(surface.nodes_mm.len());
     for p in &mut surface.nodes_mm {
         let way = *p - end.middle_mm;
@@ -159,8 +160,8 @@ mod tests {
         assert!(topology.is_oriented_manifold());
         assert_eq!((topology.components, topology.boundary_loops, topology.euler_characteristic), (1, 2, 0));
         for p in &surface.nodes_mm {
-            // Between two lattice points √3 mm apart the distance is off its chord by at most 3/(8 · 8), plus the 0.02 mm
-            // that keep the lattice off the wall.
+            // Between two lattice points √3 mm apart the distance is off its chord by at most 3/(8 · 8), plus
+            // the 0.02 mm that keep the lattice off the wall.
             assert!((p.truncate().length() - 8.0).abs() < 0.07, "{p}");
         }
     }

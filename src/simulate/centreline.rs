@@ -7,8 +7,8 @@ use crate::{Error, Result};
 use glam::{DMat3, DVec3};
 use std::path::Path;
 
-/// The centreline of one branch of a vessel: a smooth curve through given points, parameterised by the length of
-/// the chords between them.
+/// The centreline of one branch of a vessel: a smooth curve through given points, parameterised by the length
+/// of the chords between them.
 ///
 /// Between two points the curve is a cubic Hermite piece whose end tangents come from the parabola through
 /// three neighbours, so that the tangent is continuous: a catheter that follows the curve does not kink. Beyond
@@ -33,14 +33,14 @@ impl Centreline {
     /// radii that are not positive and neighbours that coincide.
     pub fn new(points_mm: Vec<DVec3>, inscribed_radius_mm: Vec<f64>) -> Result<Self> {
         let length = polyline::lengths(&points_mm).last().copied().unwrap_or_default();
-        // Fine enough for the turn between two frames to be small, and no more frames than 25 m of vessel need, whatever
-        // the coordinates in a file are.
+        // Fine enough for the turn between two frames to be small, and no more frames than 25 m of vessel need,
+        // whatever the coordinates in a file are.
         let steps = (length / 0.25).ceil().clamp(1.0, MAX_FRAME_STEPS) as usize;
         Self::with_frame_step_mm(points_mm, inscribed_radius_mm, length / steps as f64)
     }
 
-    /// As [`Centreline::new`], with frames at the steps of another curve: where two curves begin with the same points,
-    /// they have the same frames too.
+    /// As [`Centreline::new`], with frames at the steps of another curve: where two curves begin with the same
+    /// points, they have the same frames too.
     pub(super) fn with_frame_step_mm(
         points_mm: Vec<DVec3>,
         inscribed_radius_mm: Vec<f64>,
@@ -120,8 +120,8 @@ impl Centreline {
             .collect()
     }
 
-    /// Writes the centrelines of a vessel as [`Centreline::read_branches`] reads them, with the column `s_mm`, how far
-    /// along its branch a point lies. Numbers have all their digits.
+    /// Writes the centrelines of a vessel as [`Centreline::read_branches`] reads them, with the column `s_mm`,
+    /// how far along its branch a point lies. Numbers have all their digits.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -165,7 +165,8 @@ impl Centreline {
         self.arc_length_mm.last().copied().unwrap_or_default()
     }
 
-    /// Points of the curve at equal steps of about 1 mm, both ends among them, each with its length from the start, mm.
+    /// Points of the curve at equal steps of about 1 mm, both ends among them, each with its length from the
+    /// start, mm.
     pub fn every_mm(&self) -> Vec<(f64, DVec3)> {
         let whole = self.length_mm();
         let steps = whole.ceil().max(1.0) as usize;

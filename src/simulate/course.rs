@@ -204,7 +204,8 @@ impl<'a> Course<'a> {
     }
 }
 
-/// Amplitudes of the harmonics of a periodic field with the correlation exp(-(angle/reach)²/2), from the 0th on.
+/// Amplitudes of the harmonics of a periodic field with the correlation exp(-(angle/reach)²/2), from the 0th
+/// on.
 fn amplitudes_mm(sd_mm: f64, reach_rad: f64) -> Vec<f64> {
     // Beyond 5/reach their variances are below 1e-5 of the first.
     let weights: Vec<f64> = (0..=(5.0 / reach_rad).ceil() as usize)
@@ -214,7 +215,8 @@ fn amplitudes_mm(sd_mm: f64, reach_rad: f64) -> Vec<f64> {
     weights.iter().map(|weight| sd_mm * (weight / whole).sqrt()).collect()
 }
 
-/// A stationary series: every value keeps a part of the one before, forgotten over `memory_s`, and takes a new draw.
+/// A stationary series: every value keeps a part of the one before, forgotten over `memory_s`, and takes a new
+/// draw.
 fn forgetting<T>(
     ticks: usize,
     tick_s: f64,

@@ -31,8 +31,8 @@ impl Curve {
         Self { step_mm: h, points, frames }
     }
 
-    /// The point at `s_mm` and the frame of the step nearest to it. The straight way on from that step is at most
-    /// half a step long, so the point errs by less than 1e-4 mm on any curve that a phantom has.
+    /// The point at `s_mm` and the frame of the step nearest to it. The straight way on from that step is at
+    /// most half a step long, so the point errs by less than 1e-4 mm on any curve that a phantom has.
     pub fn at(&self, s_mm: f64) -> (DVec3, DMat3) {
         let i = ((s_mm / self.step_mm).round() as usize).min(self.points.len() - 1);
         let frame = self.frames[i];

@@ -5,7 +5,8 @@ use crate::setters::setters;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 
-/// What is wrong with a recording beside its [`Noise`](super::Noise), all from the same seed. Nothing by default.
+/// What is wrong with a recording beside its [`Noise`](super::Noise), all from the same seed. Nothing by
+/// default.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
@@ -42,7 +43,8 @@ pub struct ContourFaults {
     pub smooth_sd_mm: f64,
     /// Its reach along the wall, degrees: two rays that are so far apart have the correlation exp(-1/2).
     pub smooth_angle_deg: f64,
-    /// Its reach in time, s: two frames that are so far apart have the correlation exp(-1). 0: every frame has its own.
+    /// Its reach in time, s: two frames that are so far apart have the correlation exp(-1). 0: every frame has
+    /// its own.
     pub smooth_time_s: f64,
 }
 
@@ -91,13 +93,15 @@ pub enum Burst {
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct Artefacts {
-    /// Width of a sector without wall, as a guide wire or calcium casts it, degrees; 0: none. It begins at 120°.
+    /// Width of a sector without wall, as a guide wire or calcium casts it, degrees; 0: none. It begins at
+    /// 120°.
     pub shadow_deg: f64,
     /// What stands there instead.
     pub shadow_fill: ShadowFill,
     /// How fast the sector turns about the probe, degrees per second.
     pub shadow_turn_deg_s: f64,
-    /// Width of the arc in which ring-down of the transducer is taken for the wall, degrees; 0: none. It begins at 90°.
+    /// Width of the arc in which ring-down of the transducer is taken for the wall, degrees; 0: none. It begins
+    /// at 90°.
     pub ring_down_deg: f64,
     /// Its distance from the probe, mm; it varies by 3 % from ray to ray.
     pub ring_down_mm: f64,
@@ -148,7 +152,8 @@ pub struct TrackerFaults {
     pub slow_position_sd_mm: f64,
     /// Standard deviation in each component of an orientation error that frames share, degrees.
     pub slow_rotation_sd_deg: f64,
-    /// Reach of both in time, s: frames that are so far apart have the correlation exp(-1) (autoregressive, order 1).
+    /// Reach of both in time, s: frames that are so far apart have the correlation exp(-1) (autoregressive,
+    /// order 1).
     pub memory_s: f64,
     /// Amplitude of a vibration of the position, mm, in a direction of its own.
     pub shake_mm: f64,
@@ -162,7 +167,8 @@ pub struct TrackerFaults {
     pub freezes: usize,
     /// For how long, s.
     pub freeze_s: f64,
-    /// Poses per second, if the tracker is slower than the probe: frames have the newest one. 0: one for each frame.
+    /// Poses per second, if the tracker is slower than the probe: frames have the newest one. 0: one for each
+    /// frame.
     pub rate_hz: f64,
 }
 
@@ -221,13 +227,14 @@ impl Default for CalibrationFaults {
     }
 }
 
-/// Shifts of the vessel, which carries the catheter along; [`Noise`](super::Noise) has its pulsation and the heart rate.
+/// Shifts of the vessel, which carries the catheter along; [`Noise`](super::Noise) has its pulsation and the
+/// heart rate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct Motion {
-    /// How far breathing moves the vessel, mm in x, y and z of the world: from its rest, where a recording begins, to there
-    /// and back, as (1 - cos)/2.
+    /// How far breathing moves the vessel, mm in x, y and z of the world: from its rest, where a recording
+    /// begins, to there and back, as (1 - cos)/2.
     pub breathing_mm: [f64; 3],
     /// Breaths per second.
     pub breathing_hz: f64,
@@ -266,7 +273,8 @@ pub enum PointOrder {
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct Sampling {
-    /// How often every frame is stored, poses and contours alike: 5 for a recorder of 60 Hz behind a probe of 12 Hz.
+    /// How often every frame is stored, poses and contours alike: 5 for a recorder of 60 Hz behind a probe of
+    /// 12 Hz.
     pub repeats: usize,
     /// The order of the points.
     pub point_order: PointOrder,

@@ -46,8 +46,8 @@ pub enum Move {
 ///
 /// The catheter follows the centreline. Its bending segment, just before the tip, adds a constant curvature to
 /// the centreline's own, in a plane that is fixed in the rotation-minimising frame; so a bent tip in a straight
-/// vessel is an arc of a circle, and an unbent tip lies on the centreline. Sensor and probe sit at the tip: x and
-/// y across the catheter, z along it.
+/// vessel is an arc of a circle, and an unbent tip lies on the centreline. Sensor and probe sit at the tip: x
+/// and y across the catheter, z along it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
@@ -60,11 +60,13 @@ pub struct Insertion {
     pub end_mm: Option<f64>,
     /// Branches to visit one after the other in one recording, instead of `branch` up to `end_mm`.
     ///
-    /// Each is visited by the moves. Then the tip is straightened and withdrawn to where the centreline of the next one
-    /// parts from the way it came, or to the depth of the next visit where that lies on the way. Centrelines either begin
-    /// together, or within that of their parent. `[0, 1]` enters two branches, `[0, 0:5, 0]` passes one three times.
+    /// Each is visited by the moves. Then the tip is straightened and withdrawn to where the centreline of the
+    /// next one parts from the way it came, or to the depth of the next visit where that lies on the way.
+    /// Centrelines either begin together, or within that of their parent. `[0, 1]` enters two branches, `[0,
+    /// 0:5, 0]` passes one three times.
     pub visits: Vec<Visit>,
-    /// Whether frames are recorded while the catheter is withdrawn from one visit to the next. Time goes on without them.
+    /// Whether frames are recorded while the catheter is withdrawn from one visit to the next. Time goes on
+    /// without them.
     pub record_withdrawals: bool,
     /// The moves, in order, of every visit.
     pub moves: Vec<Move>,
@@ -80,7 +82,8 @@ pub struct Insertion {
     pub turn_rate_deg_s: f64,
     /// Length of the bending segment, mm.
     pub bending_length_mm: f64,
-    /// Smallest distance of the tip from the wall, mm. A bend that would bring it nearer, in any plane, is reduced.
+    /// Smallest distance of the tip from the wall, mm. A bend that would bring it nearer, in any plane, is
+    /// reduced.
     pub clearance_mm: f64,
 }
 
@@ -102,8 +105,8 @@ setters!(Insertion {
 
 impl Default for Insertion {
     /// The sequence of the thesis: 20 mm forward at 2.4 mm/s, the tip bent by 30° at 4.8°/s, its plane turned
-    /// through a full circle, the tip straightened, again along the whole vessel; 12 frames a second. The thesis
-    /// leaves the speed of the turn and the bending segment open: 24°/s and 15 mm here.
+    /// through a full circle, the tip straightened, again along the whole vessel; 12 frames a second. The
+    /// thesis leaves the speed of the turn and the bending segment open: 24°/s and 15 mm here.
     fn default() -> Self {
         Self {
             branch: 0,
@@ -231,8 +234,8 @@ impl Insertion {
         Ok(())
     }
 
-    /// Plans the moves through a vessel that shrinks to `min_scale` of its size at times. The settings are taken
-    /// to be valid.
+    /// Plans the moves through a vessel that shrinks to `min_scale` of its size at times. The settings are
+    /// taken to be valid.
     pub(super) fn plan<'a>(&'a self, vessel: &SimulatedVessel, min_scale: f64) -> Result<Path<'a>> {
         let only = [Visit::new(self.branch, self.end_mm)];
         let visits = if self.visits.is_empty() { &only } else { self.visits.as_slice() };
@@ -507,8 +510,8 @@ impl Path<'_> {
 
     /// The largest angle up to `asked_deg` that keeps its clearance in every plane.
     fn largest_bend_deg(&self, vessel: &SimulatedVessel, state: State, asked_deg: f64) -> f64 {
-        // Halfway between two of the planes that are tried, the tip is so far from both of its neighbours at most;
-        // the wall can be nearer by no more than that.
+        // Halfway between two of the planes that are tried, the tip is so far from both of its neighbours at
+        // most; the wall can be nearer by no more than that.
         let between_mm = |angle_deg: f64| {
             self.insertion.bending_length_mm * angle_deg.to_radians() * 0.5 * TAU / f64::from(PLANES) * 0.5
         };

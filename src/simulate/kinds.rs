@@ -3,8 +3,8 @@
 use super::SimulationSettings;
 use super::faults::{Burst, PointOrder, ShadowFill};
 
-/// An error that laboratories meet, as settings of a simulation. Lengths go with the vessel's radius R, and what a kind does
-/// not name is left as it is.
+/// An error that laboratories meet, as settings of a simulation. Lengths go with the vessel's radius R, and
+/// what a kind does not name is left as it is.
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
 pub struct FaultKind {
@@ -17,7 +17,7 @@ pub struct FaultKind {
 
 impl FaultKind {
     /// All kinds.
-    pub const ALL: [Self; 33] = KINDS;
+    pub const ALL: [Self; 35] = KINDS;
 
     /// The kind of that name.
     pub fn named(name: &str) -> Option<Self> {
@@ -34,7 +34,7 @@ const fn kind(name: &'static str, what: &'static str, apply: fn(&mut SimulationS
     FaultKind { name, what, apply }
 }
 
-const KINDS: [FaultKind; 33] = [
+const KINDS: [FaultKind; 35] = [
     kind("smooth", "contour error of R/20 over 30° and 1 s", |s, r| {
         s.faults.contour.smooth_sd_mm = r / 20.0
     }),
@@ -107,6 +107,8 @@ const KINDS: [FaultKind; 33] = [
     }),
     kind("pulsation", "the vessel widens by 8 % with every beat", |s, _| s.noise.pulsation_fraction = 0.08),
     kind("repeated-frames", "every frame 5 times", |s, _| s.faults.sampling.repeats = 5),
+    kind("few-rays", "8 rays in a frame", |s, _| s.probe.rays = 8),
+    kind("many-rays", "500 rays in a frame", |s, _| s.probe.rays = 500),
     kind("reversed-points", "points in the other order", |s, _| {
         s.faults.sampling.point_order = PointOrder::Reversed;
     }),

@@ -1,7 +1,8 @@
-//! Simulated recordings: a vessel of known geometry, a catheter that moves through it, a probe that measures distances to
-//! its wall, and noise.
+//! Simulated recordings: a vessel of known geometry, a catheter that moves through it, a probe that measures
+//! distances to its wall, and noise.
 //!
-//! Phantom or any surface → [`SimulatedVessel`] → [`Insertion`] → [`Probe`] → [`Noise`], [`Faults`] → [`Simulation`].
+//! Phantom or any surface → [`SimulatedVessel`] → [`Insertion`] → [`Probe`] → [`Noise`], [`Faults`] →
+//! [`Simulation`].
 //!
 //! ```
 //! use lumenmesh::simulate::{Insertion, Phantom, SimulationSettings, Shape, Simulation};
@@ -111,7 +112,8 @@ pub struct Simulation {
 }
 
 impl Simulation {
-    /// Simulates a recording. The same vessel and settings give the same numbers, whatever the number of threads.
+    /// Simulates a recording. The same vessel and settings give the same numbers, whatever the number of
+    /// threads.
     ///
     /// # Errors
     /// [`Error::Setting`] for settings that are out of range or do not suit the vessel, [`Error::Surface`] where

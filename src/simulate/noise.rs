@@ -23,8 +23,8 @@ pub enum ContourNoise {
     Radial,
 }
 
-/// Noise that is independent from ray to ray and from frame to frame, and the simplest faults, all from one seed;
-/// [`Faults`](super::Faults) has the others.
+/// Noise that is independent from ray to ray and from frame to frame, and the simplest faults, all from one
+/// seed; [`Faults`](super::Faults) has the others.
 ///
 /// Every frame has its own stream of random numbers, in which every fault has its own place: neither the number
 /// of threads nor switching one fault on changes what another one does.
@@ -49,13 +49,13 @@ pub struct Noise {
     pub spike_probability: f64,
     /// Slow drift of the tracked position, a random walk, mm per square root of a second in each axis.
     pub position_drift_mm_per_sqrt_s: f64,
-    /// Slow drift of the tracked orientation, a random walk of its rotation vector, degrees per square root of a
-    /// second in each component.
+    /// Slow drift of the tracked orientation, a random walk of its rotation vector, degrees per square root of
+    /// a second in each component.
     pub rotation_drift_deg_per_sqrt_s: f64,
     /// How much older than its contour the pose of a frame is, s.
     pub latency_s: f64,
-    /// How much the vessel widens and narrows with the heart, as a fraction of its radius. The wall about a frame
-    /// is scaled as a whole, about the centreline beside the tip.
+    /// How much the vessel widens and narrows with the heart, as a fraction of its radius. The wall about a
+    /// frame is scaled as a whole, about the centreline beside the tip.
     pub pulsation_fraction: f64,
     /// Heart rate, Hz.
     pub pulsation_rate_hz: f64,
@@ -184,7 +184,8 @@ impl FrameNoise<'_> {
         }
     }
 
-    /// By how much a local cylinder is off: its axis's position (mm), its axis's direction (rad) and its radius (mm).
+    /// By how much a local cylinder is off: its axis's position (mm), its axis's direction (rad) and its radius
+    /// (mm).
     pub fn cylinder(&mut self) -> (DVec2, DVec2, f64) {
         let (position, axis) = (normal2(&mut self.rng), normal2(&mut self.rng));
         (

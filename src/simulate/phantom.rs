@@ -33,8 +33,8 @@ fn default_edge_mm() -> f64 {
     1.2
 }
 
-/// The phantoms and their dimensions in mm. Where the tubes of a branching one meet, the wall is rounded off: it
-/// lies up to 0.5 mm further out where two of its tubes are less than 2 mm apart.
+/// The phantoms and their dimensions in mm. Where the tubes of a branching one meet, the wall is rounded off:
+/// it lies up to 0.5 mm further out where two of its tubes are less than 2 mm apart.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 #[non_exhaustive]
@@ -107,8 +107,8 @@ pub enum Shape {
         parent_radius_mm: f64,
         /// Radius of each of the two.
         daughter_radius_mm: f64,
-        /// Angle between each of the two and the parent, degrees. The bend starts halfway and takes a quarter of
-        /// the length.
+        /// Angle between each of the two and the parent, degrees. The bend starts halfway and takes a quarter
+        /// of the length.
         half_angle_deg: f64,
         /// Length along z.
         length_mm: f64,

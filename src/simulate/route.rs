@@ -48,8 +48,8 @@ impl FromStr for Visit {
 pub struct Place {
     /// Which of the visits, counted from 0.
     pub visit: usize,
-    /// The branch whose centreline the catheter follows there, counted from 0. Where several run together, it is the one
-    /// that was visited first.
+    /// The branch whose centreline the catheter follows there, counted from 0. Where several run together, it
+    /// is the one that was visited first.
     pub branch: usize,
     /// Length along that branch's own centreline, mm. A bent tip lies beside it.
     pub s_mm: f64,
@@ -57,8 +57,8 @@ pub struct Place {
 
 /// A smooth way from the beginning of the vessel to the end of a branch.
 ///
-/// Ways that begin together have the same points there, hence the same positions and frames to the last bit: the
-/// catheter passes from one to the other without a jump. See [`Way::common_mm`].
+/// Ways that begin together have the same points there, hence the same positions and frames to the last bit:
+/// the catheter passes from one to the other without a jump. See [`Way::common_mm`].
 #[derive(Debug, Clone)]
 pub(super) struct Way {
     pub line: Centreline,
@@ -215,7 +215,8 @@ impl Way {
     }
 }
 
-/// The ways to the branches of a list, each branch once, in the order of the list. `numbers[i]` is the way of visit i.
+/// The ways to the branches of a list, each branch once, in the order of the list. `numbers[i]` is the way of
+/// visit i.
 pub(super) fn ways(vessel: &SimulatedVessel, visits: &[Visit]) -> Result<(Vec<Way>, Vec<usize>)> {
     let mut found: Vec<(usize, Way)> = Vec::new();
     let mut numbers = Vec::with_capacity(visits.len());
@@ -233,7 +234,8 @@ pub(super) fn ways(vessel: &SimulatedVessel, visits: &[Visit]) -> Result<(Vec<Wa
     Ok((found.into_iter().map(|(_, way)| way).collect(), numbers))
 }
 
-/// Adds the way to a branch, and before it those to the branches that it leads through; `open` are those that wait for it.
+/// Adds the way to a branch, and before it those to the branches that it leads through; `open` are those that
+/// wait for it.
 fn add_way(
     vessel: &SimulatedVessel,
     branch: usize,
@@ -279,5 +281,6 @@ const STEP_MM: f64 = 0.25;
 /// Centrelines that are nearer to each other than this share of the radius run together.
 const TOGETHER: f64 = 0.1;
 
-/// Points of a way that follow each other are farther apart than this, mm, where one centreline passes into another.
+/// Points of a way that follow each other are farther apart than this, mm, where one centreline passes into
+/// another.
 const APART_MM: f64 = 0.1;

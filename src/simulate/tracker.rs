@@ -17,8 +17,8 @@ pub struct TrackerNoise {
     pub poses: usize,
     /// Standard deviation of the position about its mean, mm: root mean square of the three axes.
     pub position_sd_mm: f64,
-    /// Standard deviation of the orientation about its mean, degrees: root mean square of the three components of
-    /// the rotation vector.
+    /// Standard deviation of the orientation about its mean, degrees: root mean square of the three components
+    /// of the rotation vector.
     pub rotation_sd_deg: f64,
 }
 

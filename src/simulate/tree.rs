@@ -14,9 +14,10 @@ use std::f64::consts::TAU;
 
 /// A vessel that parts into two at the end of every tube, over one to three levels.
 ///
-/// Radii follow Murray's law: the cube of a tube's radius is the sum of those of its two daughters. C. D. Murray, *The
-/// physiological principle of minimum work*, PNAS 12(3), 1926. There are 2 to the power of `levels` branches, numbered so
-/// that of every two daughters the larger one comes first; each has its centreline from the vessel's beginning on.
+/// Radii follow Murray's law: the cube of a tube's radius is the sum of those of its two daughters. C. D.
+/// Murray, *The physiological principle of minimum work*, PNAS 12(3), 1926. There are 2 to the power of
+/// `levels` branches, numbered so that of every two daughters the larger one comes first; each has its
+/// centreline from the vessel's beginning on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
@@ -27,9 +28,9 @@ pub struct Tree {
     pub levels: usize,
     /// Radius of the smaller daughter by that of the larger one: 0.5 to 1.
     pub daughter_ratio: f64,
-    /// Angle between a tube and each of its daughters, degrees; from the radii where absent, by Murray's law of least
-    /// work (*The physiological principle of minimum work applied to the angle of branching of arteries*, J. Gen.
-    /// Physiol. 9(6), 1926). For daughters of the same size that is 37.5°.
+    /// Angle between a tube and each of its daughters, degrees; from the radii where absent, by Murray's law of
+    /// least work (*The physiological principle of minimum work applied to the angle of branching of arteries*,
+    /// J. Gen. Physiol. 9(6), 1926). For daughters of the same size that is 37.5°.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub half_angle_deg: Option<f64>,
     /// Angle between the plane in which a tube parts and that in which its daughters part, degrees.
@@ -65,7 +66,8 @@ struct Tube {
     /// Where it begins and ends along the branch, mm.
     from_mm: f64,
     until_mm: f64,
-    /// Length of the bend at its beginning, mm, and what it turns by, rad, towards x and y of the branch's frame.
+    /// Length of the bend at its beginning, mm, and what it turns by, rad, towards x and y of the branch's
+    /// frame.
     bend_mm: f64,
     bend: DVec2,
     radius_mm: f64,
@@ -100,7 +102,8 @@ impl Tree {
         self.tubes(0).last().map_or(0.0, |tube| tube.until_mm)
     }
 
-    /// The tubes along a branch, from the trunk on. The bits of its number, the highest first, choose the daughters.
+    /// The tubes along a branch, from the trunk on. The bits of its number, the highest first, choose the
+    /// daughters.
     fn tubes(&self, branch: usize) -> Vec<Tube> {
         let whole_steps = |length_mm: f64| (length_mm / CURVE_STEP_MM).round() * CURVE_STEP_MM;
         let trunk_mm = whole_steps(self.straight_radii * self.root_radius_mm);
@@ -221,5 +224,6 @@ impl Tree {
 /// Length of a bend in radii of the tube that parts: no daughter's wall folds at any angle that is allowed.
 const BEND_RADII: f64 = 2.5;
 
-/// Lengths are multiples of this step of [`Curve`], mm, so that branches have the same points where they run together.
+/// Lengths are multiples of this step of [`Curve`], mm, so that branches have the same points where they run
+/// together.
 const CURVE_STEP_MM: f64 = 0.05;

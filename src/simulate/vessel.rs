@@ -21,8 +21,8 @@ pub struct SimulatedVessel {
 impl SimulatedVessel {
     /// A vessel from any triangle surface and at least one centreline.
     ///
-    /// Two faults are repaired and listed in [`SimulatedVessel::notes`]: pieces beside the largest one are dropped, and
-    /// triangles are turned so that their normals point out of the lumen.
+    /// Two faults are repaired and listed in [`SimulatedVessel::notes`]: pieces beside the largest one are
+    /// dropped, and triangles are turned so that their normals point out of the lumen.
     ///
     /// # Errors
     /// [`Error::Surface`] for an empty surface, indices without a node, coordinates that are not finite, a size
@@ -59,8 +59,8 @@ impl SimulatedVessel {
     /// Distance from `origin_mm` to the first wall along the unit `direction`, mm; `None` beyond `range_mm`.
     pub fn cast_mm(&self, origin_mm: DVec3, direction: DVec3, range_mm: f64) -> Option<f64> {
         let cast = |direction| self.wall.cast(origin_mm, direction, range_mm).map(|(_, distance)| distance);
-        // A ray that meets an edge exactly can slip between its two triangles in rounding. A ray a hair beside it
-        // does not, and meets the wall at the same distance to far below a nanometre.
+        // A ray that meets an edge exactly can slip between its two triangles in rounding. A ray a hair beside
+        // it does not, and meets the wall at the same distance to far below a nanometre.
         cast(direction).or_else(|| {
             let (x, y) = direction.any_orthonormal_pair();
             cast(direction + (x * 0.6 + y * 0.8) * 1e-12)
@@ -107,7 +107,8 @@ impl SimulatedVessel {
             .map(|(branch, s)| self.rays_across(branch, s))
             .fold((0, 0), |sum, n| (sum.0 + n.0, sum.1 + n.1));
         if outside > inside {
-            // Which corner comes first decides the last digit of a ray's length: it is another for rays than for files.
+            // Which corner comes first decides the last digit of a ray's length: it is another for rays than
+            // for files.
             self.surface.triangles.iter_mut().for_each(|t| t.swap(0, 1));
             self.wall = Locator::new(&self.surface)?;
             self.surface.triangles.iter_mut().for_each(|t| t.rotate_left(1));
@@ -215,7 +216,8 @@ fn orient(surface: &mut Surface, notes: &mut Vec<String>) {
             surface.triangles.len()
         ));
     }
-    // The centrelines decide later whether the majority points outward; here the minority is made to agree with it.
+    // The centrelines decide later whether the majority points outward; here the minority is made to agree with
+    // it.
     let minority_is_turned = 2 * turns[largest] <= sizes[largest];
     let odd = turns[largest].min(sizes[largest] - turns[largest]);
     if odd > 0 {
