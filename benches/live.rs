@@ -37,6 +37,7 @@ fn pushed(frames: &[Frame], settings: &Settings) -> (Live, Vec<[f64; 6]>) {
         [wall, cpu, stages.screening_s, stages.axis_s, stages.placing_s, stages.solving_s].map(|s| s * 1e3)
     });
     let times = times.collect();
+    live.flush().unwrap();
     (live, times)
 }
 

@@ -338,13 +338,19 @@ fn a_reconstruction_is_followed_and_ended() {
 #include <atomic>
 #include <cstdio>
 #include <cstring>
+#include <mutex>
+#include <set>
 int main(int, char **argv) {
     const lumenmesh::Recording recording(argv[1]);
     for (const char *method : {"sweep", "cylinders"}) {
         const auto settings = std::move(lumenmesh::Settings().set("method", method).set("backend", "cpu"));
         std::atomic<int> all{0}, some{0};
+        std::mutex lock;
+        std::set<std::size_t> steps;
         lumenmesh::Lumen whole(recording, settings, [&](const char *, std::size_t done, std::size_t total) {
             all++;
+            const std::lock_guard<std::mutex> held(lock);
+            steps.insert(done);
             return done <= total;
         });
         for (const bool throws : {false, true}) {
@@ -360,7 +366,7 @@ int main(int, char **argv) {
                 if (error.status() != LUMENMESH_STATUS_CANCELLED || std::strcmp(error.what(), "cancelled")) return 4;
             }
         }
-        std::printf("%s %d\n", method, all.load());
+        std::printf("%s %d, %s\n", method, int(steps.size()), all > int(steps.size()) ? "asked again" : "asked once");
         // Threads that were in the middle of a step finish it.
         if (some < 1 || some >= all) return 5;
         if (whole.mesh().triangles().empty()) return 6;
@@ -372,7 +378,8 @@ int main(int, char **argv) {
     let to = folder.path().join("progress");
     compiled(&source, &to, "c++", "-std=c++17");
     let said = succeeds(linked(&to).arg(&recording));
-    assert!(said.contains("sweep 6\n") && said.contains("cylinders "), "{said}");
+    // Six stages, and once more before every iteration of a fit.
+    assert!(said.contains("sweep 6, asked again\n") && said.contains("cylinders "), "{said}");
 }
 
 #[test]
@@ -386,4 +393,72 @@ fn nothing_else_is_exported() {
     assert!(names.len() > 25, "{symbols}");
     let others: Vec<&&str> = names.iter().filter(|name| !name.starts_with("lumenmesh_")).collect();
     assert!(others.is_empty(), "{others:?}");
+}
+
+/// The Debian package of what was built for these tests, tried by the script where it is unpacked, holds all that it should.
+#[test]
+fn the_debian_package_has_command_library_pages_and_completions() {
+    let program = std::env::current_exe().unwrap();
+    let built = program.parent().unwrap();
+    let command = built.with_file_name("lumenmesh");
+    let required = std::env::var("LUMENMESH_REQUIRE_TOOLS").is_ok_and(|value| value == "1");
+    if !command.exists() {
+        assert!(!required, "{} is missing: build with -p lumenmesh too", command.display());
+        eprintln!("SKIPPED: no {}", command.display());
+        return;
+    }
+    if !(has("dpkg-deb") && has("objdump") && has("cmake")) {
+        return;
+    }
+    let out = tempfile::tempdir().unwrap();
+    succeeds(
+        linked(Path::new(ROOT).join("../scripts/package.sh"))
+            .arg("deb")
+            .env("BUILT", built)
+            .env("COMMAND", &command)
+            .env("OUT", out.path()),
+    );
+    let package = std::fs::read_dir(out.path()).unwrap().map(|entry| entry.unwrap().path());
+    let package = package.into_iter().find(|path| path.extension().is_some_and(|e| e == "deb")).unwrap();
+    let list = succeeds(Command::new("dpkg-deb").arg("--contents").arg(&package));
+    let holds = |path: &str| list.lines().any(|line| line.ends_with(path));
+    for path in [
+        "./usr/bin/lumenmesh",
+        "./usr/include/lumenmesh.h",
+        "./usr/include/lumenmesh.hpp",
+        "./usr/lib/liblumenmesh.so",
+        "./usr/lib/cmake/lumenmesh/lumenmeshConfig.cmake",
+        "./usr/lib/cmake/lumenmesh/lumenmeshConfigVersion.cmake",
+        "./usr/lib/pkgconfig/lumenmesh.pc",
+        "./usr/share/man/man1/lumenmesh.1.gz",
+        "./usr/share/man/man1/lumenmesh-live.1.gz",
+        "./usr/share/bash-completion/completions/lumenmesh",
+        "./usr/share/zsh/vendor-completions/_lumenmesh",
+        "./usr/share/fish/vendor_completions.d/lumenmesh.fish",
+        "./usr/share/doc/lumenmesh/copyright",
+    ] {
+        assert!(holds(path), "no {path} in\n{list}");
+    }
+    assert!(!holds("liblumenmesh.a"), "{list}");
+    // What it says of itself does not know the folder that it was built in.
+    let folder = tempfile::tempdir().unwrap();
+    succeeds(Command::new("dpkg-deb").arg("--extract").arg(&package).arg(folder.path()));
+    let pkg_config = std::fs::read_to_string(folder.path().join("usr/lib/pkgconfig/lumenmesh.pc")).unwrap();
+    assert!(pkg_config.starts_with("prefix=/usr\n"), "{pkg_config}");
+}
+
+/// The archive that `cargo package` would make of the crate has the files that it is built from, its licences, and nothing
+/// of the other members or of what was built.
+#[test]
+fn the_crate_has_what_it_is_built_from() {
+    let arguments = ["package", "--list", "--allow-dirty", "--offline", "-p", "lumenmesh"];
+    let list = succeeds(Command::new(env!("CARGO")).args(arguments).current_dir(Path::new(ROOT).join("..")));
+    let has = |path: &str| list.lines().any(|line| line == path);
+    for path in ["Cargo.toml", "Cargo.lock", "src/lib.rs", "src/main.rs", "README.md", "THIRD_PARTY_NOTICES"]
+    {
+        assert!(has(path), "no {path} in\n{list}");
+    }
+    assert!(has("LICENSE-MIT") && has("LICENSE-APACHE"), "{list}");
+    assert!(list.lines().filter(|line| line.starts_with("shaders/") && line.ends_with(".wgsl")).count() > 30);
+    assert!(!list.lines().any(|line| ["capi/", "python/", "target/"].iter().any(|f| line.starts_with(f))));
 }

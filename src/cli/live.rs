@@ -497,6 +497,10 @@ impl Arguments {
 
 impl Summary<'_> {
     fn print(&self) {
+        if self.frames == 0 {
+            println!("frames     none came from {}: there is no vessel", self.recording.display());
+            return self.print_arrivals();
+        }
         println!(
             "frames     {}, {} left out, {} too far from the axis",
             self.frames,

@@ -4,6 +4,7 @@ use super::estimate::{CylinderEstimator, LocalEstimate};
 use super::fit::{Engine, FitRequest};
 use super::merge::MergedVessel;
 use super::track::Track;
+use crate::engine::EngineDescription;
 use crate::geometry::Pose;
 use crate::recording::Frame;
 use crate::settings::{Merge, Settings};
@@ -21,6 +22,7 @@ pub(crate) const REST_MM: f64 = 2.0;
 pub(crate) struct LiveCylinders {
     settings: Settings,
     engine: Box<dyn Engine>,
+    fitted_by: Option<EngineDescription>,
     state: State,
 }
 
@@ -71,12 +73,17 @@ impl LiveCylinders {
                 expected: "stitch, as cylinders are merged live".into(),
             });
         }
-        Ok(Self { settings: settings.clone(), engine, state: State::new(settings) })
+        Ok(Self { settings: settings.clone(), engine, fitted_by: None, state: State::new(settings) })
     }
 
     /// Forgets all frames.
     pub fn reset(&mut self) {
         self.state = State::new(&self.settings);
+    }
+
+    /// Where the last cylinder was fitted.
+    pub fn fitted_by(&self) -> Option<&EngineDescription> {
+        self.fitted_by.as_ref()
     }
 
     /// The vessel so far.
@@ -121,8 +128,9 @@ impl LiveCylinders {
         }
         let start = Instant::now();
         let count = self.state.track.len();
-        let fitted =
-            self.engine.fit(&FitRequest::new(&self.state.track, &[count - 1], &self.settings))?.cylinders;
+        let fit = self.engine.fit(&FitRequest::new(&self.state.track, &[count - 1], &self.settings))?;
+        self.fitted_by = Some(fit.engine);
+        let fitted = fit.cylinders;
         let mut first = self.state.vessel.rings.len();
         for cylinder in &fitted {
             first = first.min(self.state.vessel.stitch(cylinder, &cylinder.tube.radii_mm));

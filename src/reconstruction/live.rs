@@ -25,10 +25,11 @@
 use super::{Lumen, Reconstructor};
 use crate::cylinders::live::{LiveCylinders, MAX_FRAMES_AT_REST, REST_MM};
 use crate::cylinders::{Engine, engine};
+use crate::engine::EngineDescription;
 use crate::recording::{Frame, Judged, LeftOut, LiveScreening, Reason, Recording};
 use crate::settings::{Backend, Method, Settings, UnfitFrames};
 use crate::surface::Surface;
-use crate::sweep::LiveSweep;
+use crate::sweep::{LiveSweep, Step};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::ops::Range;
@@ -130,6 +131,15 @@ impl Change {
         self.work.rings += work.rings;
     }
 
+    /// Adds a step of a sweep.
+    fn add_step(&mut self, step: Step) {
+        let work = Work { echoes: step.echoes, rings: step.rings };
+        self.add(step.before, step.changed, step.off_axis, work);
+        self.times.axis_s += step.axis_s;
+        self.times.placing_s += step.placing_s;
+        self.times.solving_s += step.solving_s;
+    }
+
     /// Brings the ranges of changed rings in order, apart from each other.
     fn tidy(&mut self, rings: usize) {
         let mut ranges = std::mem::take(&mut self.changed);
@@ -183,7 +193,7 @@ impl Live {
     ///
     /// # Errors
     /// Where settings are invalid, ask for a device that is not there, or for what is done to whole recordings only:
-    /// blended cylinders, a sweep's corrections of the tracker, or its fit on a device.
+    /// blended cylinders, or a sweep's corrections of the tracker.
     pub fn new(settings: &Settings) -> Result<Self> {
         settings.validate()?;
         Ok(Self::of(settings, Vessel::new(settings)?))
@@ -267,21 +277,22 @@ impl Live {
         if let Some(kept) = &mut self.kept {
             kept.frames.push(as_it_came.clone());
         }
-        self.take(number, judged, start)
+        self.take(number, judged, start, false)
     }
 
-    /// Ends the waiting for frames that jump off the path of the others: they are left out. After the last frame.
+    /// Ends the waiting. After the last frame: frames that jump off the path of the others are left out, and a sweep fits its
+    /// whole wall to all echoes, those included that frames had no time for. That takes longer than a frame does.
     ///
     /// # Errors
     /// As [`push`](Self::push).
     pub fn flush(&mut self) -> Result<Change> {
         let start = Instant::now();
         let judged = self.screening.flush();
-        self.take(self.frames.saturating_sub(1), judged, start)
+        self.take(self.frames.saturating_sub(1), judged, start, true)
     }
 
-    /// Takes the frames that are judged; their screening began at `start`.
-    fn take(&mut self, number: usize, judged: Judged, start: Instant) -> Result<Change> {
+    /// Takes the frames that are judged, after the last one also what a sweep has put off; the screening began at `start`.
+    fn take(&mut self, number: usize, judged: Judged, start: Instant, is_last: bool) -> Result<Change> {
         let Judged { restart, frames, left_out } = judged;
         let mut change = Change { frame: number, restarted: restart, left_out, ..Change::default() };
         change.times.screening_s = start.elapsed().as_secs_f64();
@@ -301,14 +312,14 @@ impl Live {
                 },
                 Vessel::Sweep(sweep) => {
                     let Some(frame) = &frame else { continue };
-                    let step = sweep.push(number, frame)?;
-                    let work = Work { echoes: step.echoes, rings: step.rings };
-                    change.add(step.before, step.changed, step.off_axis, work);
-                    change.times.axis_s += step.axis_s;
-                    change.times.placing_s += step.placing_s;
-                    change.times.solving_s += step.solving_s;
+                    change.add_step(sweep.push(number, frame)?);
                 }
             }
+        }
+        if let Vessel::Sweep(sweep) = &mut self.vessel
+            && is_last
+        {
+            change.add_step(sweep.flush()?);
         }
         if restart {
             change.before = 0;
@@ -321,6 +332,16 @@ impl Live {
         match unfit.filter(|_| self.settings.unfit_frames == UnfitFrames::Refuse) {
             Some(unfit) => Err(unfit.clone().into_error()),
             None => Ok(change),
+        }
+    }
+
+    /// Where frames are computed, and why there. Settings with the backend `gpu` have the frames of cylinders computed on the
+    /// device, those of a sweep on the CPU, and the lumen of all frames ([`finish`](Self::finish)) on the device by either
+    /// method. `None` before the first cylinder.
+    pub fn engine(&self) -> Option<EngineDescription> {
+        match &self.vessel {
+            Vessel::Cylinders(cylinders) => cylinders.fitted_by().cloned(),
+            Vessel::Sweep(_) => Some(sweep_engine(&self.settings)),
         }
     }
 
@@ -385,9 +406,16 @@ fn check_sweep(settings: &Settings) -> Result<()> {
     if settings.sweep.estimate_offset {
         return refused("sweep.estimate_offset", "true", "false");
     }
-    if settings.backend == Backend::Gpu {
-        // A frame solves for at most 48 rings: it would wait for the device longer than it computes.
-        return refused("backend", "gpu", "auto or cpu");
-    }
     Ok(())
+}
+
+/// Where a live sweep with these settings is computed: always on the CPU, and why so where that was not asked for.
+fn sweep_engine(settings: &Settings) -> EngineDescription {
+    let of_name = |name: &str| EngineDescription { name: name.into(), ..EngineDescription::default() };
+    let why = "a frame of a live sweep solves for some 50 rings, which takes less time than a device needs to answer";
+    match settings.backend {
+        Backend::Cpu => of_name("cpu"),
+        Backend::Reference => of_name("reference"),
+        Backend::Auto | Backend::Gpu => EngineDescription { why: Some(why.into()), ..of_name("cpu") },
+    }
 }

@@ -68,7 +68,7 @@ impl<'a> Reconstructor<'a> {
 
     /// Calls `report` whenever a step is done, from any thread: the sweep reports its stages, the published method its
     /// cylinders. A call must not block. Where one breaks, [`run`](Self::run) ends with [`Error::Cancelled`]: cylinders after
-    /// those that are being fitted, a sweep before its next stage.
+    /// those that are being fitted, a sweep before its next stage or the next iteration of a fit.
     #[must_use]
     pub fn on_progress(mut self, report: impl Fn(Progress) -> ControlFlow<()> + Send + Sync + 'a) -> Self {
         self.on_progress = Box::new(report);

@@ -16,7 +16,7 @@ mod tracker;
 pub(crate) mod wall;
 
 pub use errors::{AlikeErrors, RecordingErrors};
-pub(crate) use live::LiveSweep;
+pub(crate) use live::{LiveSweep, Step};
 pub use prepare::axis::Axis;
 pub(crate) use prepare::contour::Outline;
 pub(crate) use prepare::noise::outward_bias_mm;
@@ -38,7 +38,7 @@ use prepare::grid::WallGrid;
 use report::{FittedWall, timed};
 use std::ops::ControlFlow;
 use wall::engine;
-use wall::fit::Wall;
+use wall::fit::{Checkpoint, Wall};
 
 /// Told of the stage that begins, the number of stages done, and their number in all.
 pub type StageProgress<'a> = dyn Fn(&'static str, usize, usize) -> ControlFlow<()> + 'a;
@@ -74,12 +74,14 @@ impl Sweep {
     }
 
     /// As [`Sweep::of`], and calls `progress` with the stage that begins, the number of stages done, and their number in
-    /// all.
+    /// all; with the same numbers again before every iteration of a fit.
     ///
     /// # Errors
     /// As [`Sweep::of`].
     pub fn run(recording: &Recording, settings: &Settings, progress: &StageProgress) -> Result<Self> {
-        Self::fitted(recording, settings, progress, |grid, echoes| engine::fit(grid, echoes, settings))
+        Self::fitted(recording, settings, progress, |grid, echoes, checkpoint| {
+            engine::fit(grid, echoes, settings, checkpoint)
+        })
     }
 
     /// As [`Sweep::of`], with the wall fitted by an engine on a device, whatever the settings' backend.
@@ -88,8 +90,9 @@ impl Sweep {
     /// As [`Sweep::of`], and [`Error::Gpu`] where the device fails.
     #[cfg(feature = "gpu")]
     pub fn on_device(recording: &Recording, settings: &Settings, device: &GpuWallEngine) -> Result<Self> {
-        Self::fitted(recording, settings, &|_, _, _| ControlFlow::Continue(()), |grid, echoes| {
-            engine::fit_on_device(grid, echoes, settings, device).map(|wall| (wall, device.describe()))
+        Self::fitted(recording, settings, &|_, _, _| ControlFlow::Continue(()), |grid, echoes, checkpoint| {
+            let wall = engine::fit_on_device(grid, echoes, settings, device, checkpoint)?;
+            Ok((wall, device.describe()))
         })
     }
 
@@ -97,7 +100,7 @@ impl Sweep {
         recording: &Recording,
         settings: &Settings,
         progress: &StageProgress,
-        fit: impl FnOnce(&WallGrid, &mut [Echo]) -> Result<(Wall, EngineDescription)>,
+        fit: impl FnOnce(&WallGrid, &mut [Echo], &Checkpoint) -> Result<(Wall, EngineDescription)>,
     ) -> Result<Self> {
         settings.validate()?;
         recording.check()?;
@@ -107,16 +110,19 @@ impl Sweep {
         let prepared = timed(&mut seconds.axis, || Prepared::of(recording, settings))?;
         progress("placing the echoes", 1)?;
         let mut echoes = timed(&mut seconds.place, || prepared.echoes(&prepared.sensors()));
-        progress("fitting the wall", 2)?;
-        let (mut wall, engine) = timed(&mut seconds.fit, || fit(&prepared.grid, &mut echoes))?;
-        progress("correcting the poses", 3)?;
+        let fitting = || progress("fitting the wall", 2);
+        fitting()?;
+        let (mut wall, engine) = timed(&mut seconds.fit, || fit(&prepared.grid, &mut echoes, &fitting))?;
+        let correcting = || progress("correcting the poses", 3);
+        correcting()?;
         let tracker = timed(&mut seconds.tracker, || {
-            Tracker::correct(&prepared, &settings.sweep, &mut echoes, &mut wall)
+            Tracker::correct(&prepared, &settings.sweep, &mut echoes, &mut wall, &correcting)
         })?;
-        progress("estimating the errors", 4)?;
+        let estimating = || progress("estimating the errors", 4);
+        estimating()?;
         let mut support = timed(&mut seconds.support, || Support::of(&prepared.grid, &echoes, &wall));
         let errors = timed(&mut seconds.errors, || {
-            errors::estimate(&prepared, &settings.sweep, &mut echoes, &mut wall, &support)
+            errors::estimate(&prepared, &settings.sweep, &mut echoes, &mut wall, &support, &estimating)
         })?;
         let tangential_noise_mm = prepared.tangential_noise_mm().min(wall.noise_mm);
         for radius in &mut wall.radii_mm {

@@ -6,13 +6,16 @@ use glam::{DVec2, DVec3};
 use lumenmesh::cylinders::CylinderReconstruction;
 use lumenmesh::cylinders::engine;
 use lumenmesh::evaluate::{Truth, evaluate};
-use lumenmesh::reconstruction::{Change, Live, Reconstructor, Work};
+use lumenmesh::geometry::Pose;
+use lumenmesh::reconstruction::{Change, Live, Progress, Reconstructor, Work};
 use lumenmesh::recording::{Frame, Recording};
 use lumenmesh::settings::{Method, Settings, SweepSettings, UnfitFrames};
 use lumenmesh::simulate::{self, Insertion, Move, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
+use std::f64::consts::TAU;
 use std::ops::ControlFlow;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn cylinders() -> Settings {
@@ -269,7 +272,7 @@ fn a_file_that_is_no_whole_snapshot_is_told() {
         bytes[at] ^= 4;
         bytes
     };
-    says(&changed(16), "version: found 6, expected 2");
+    says(&changed(16), "version: found 7, expected 3");
     says(&changed(good.len() / 2), "content: found bytes that have changed");
     std::fs::write(&path, &good).unwrap();
     Live::restore(&path).unwrap();
@@ -304,6 +307,83 @@ fn a_reconstruction_ends_where_its_callback_asks_for_that() {
             // What another thread has begun is finished.
             assert!((last..=last + 1).contains(&calls), "{calls} calls, {last} asked for");
         }
+    }
+}
+
+/// The callback is asked again before every iteration of a fit.
+#[test]
+fn a_fit_ends_where_its_callback_asks_for_that() {
+    let recording = simulated("cylinder", Insertion::steady(), 6).recording;
+    let until = |last: usize| {
+        let (stages, fits) = (Mutex::new(Vec::new()), AtomicUsize::new(0));
+        let tell = |progress: Progress| {
+            stages.lock().unwrap().push(progress.stage);
+            let fits = fits.fetch_add(usize::from(progress.stage == "fitting the wall"), Ordering::Relaxed);
+            if fits >= last { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        let done = Reconstructor::new(sweep()).on_progress(tell).run(&recording).map(drop);
+        (done, stages.into_inner().unwrap())
+    };
+    let (done, all) = until(usize::MAX);
+    let fits = all.iter().filter(|stage| **stage == "fitting the wall").count();
+    assert!(done.is_ok() && fits > 4, "{all:?}");
+    for last in [1, 3] {
+        let (done, stages) = until(last);
+        assert!(matches!(done, Err(lumenmesh::Error::Cancelled)), "after {last} of {fits}");
+        assert_eq!(stages.last(), Some(&"fitting the wall"), "{stages:?}");
+    }
+}
+
+/// Echoes and rings of a frame have a bound, also where the axis moves and where the vessel begins: budgets count work, so
+/// that a frame costs the same on every machine.
+#[test]
+fn no_frame_of_a_sweep_does_more_than_its_share() {
+    for insertion in [to_and_fro(), Insertion::steady()] {
+        let recording = simulated("arch", insertion, 2).recording;
+        let mut live = Live::new(&sweep()).unwrap();
+        let changes: Vec<Change> = recording.frames.iter().map(|frame| live.push(frame).unwrap()).collect();
+        let begins = changes.iter().position(|change| change.rings > 0).unwrap();
+        let most = |k: std::ops::Range<usize>| changes[k].iter().map(|c| c.work.echoes).max().unwrap();
+        assert!(most(begins..begins + 1) <= 12_000, "{}", most(begins..begins + 1));
+        let after = most(begins + 1..changes.len());
+        assert!(after <= 6_000, "{after}");
+        assert!(after > 1_000, "the bound is one that is used: {after}");
+        assert!(changes[begins + 1..].iter().all(|change| change.work.rings <= 80));
+        // What was put off is done after the last frame.
+        assert!(live.flush().unwrap().work.echoes > 2 * after);
+    }
+}
+
+/// A catheter that goes forth and back without end: the state, and with it memory, stays as large as the vessel is long.
+#[test]
+fn very_many_frames_hold_memory() {
+    let frame = |k: usize| {
+        let way = (0.37 * k as f64) % 20.0;
+        let z = if way < 10.0 { way } else { 20.0 - way };
+        let noise = |i: usize| ((k * 32 + i) as f64 * 0.618_033_988_749_895).fract() - 0.5;
+        let point = |ray: usize| DVec2::from_angle(TAU * ray as f64 / 32.0) * (4.0 + 0.3 * noise(ray));
+        let translation_mm = DVec3::new(0.1 * noise(7), 0.1 * noise(13), z + 0.05 * noise(19));
+        let pose = Pose { rotation: glam::DMat3::IDENTITY, translation_mm };
+        Frame::new(pose, (0..32).map(point).collect())
+    };
+    for (settings, keeps, full, end) in
+        [(cylinders(), false, 7000, 9000), (sweep(), false, 1500, 2500), (cylinders(), true, 1000, 2000)]
+    {
+        let mut live = Live::new(&settings).unwrap();
+        if keeps {
+            live.keep_frames().unwrap();
+        }
+        // The most of many moments: what was dropped is given back now and then.
+        let mut most = |frames: std::ops::Range<usize>| {
+            let sizes = frames.map(|k| {
+                live.push(&frame(k)).unwrap();
+                if k % 200 == 0 { live.state().unwrap().len() } else { 0 }
+            });
+            sizes.max().unwrap()
+        };
+        let (early, late) = (most(0..full), most(full..end));
+        // Where frames are kept, it grows, and the comparison sees that.
+        assert_eq!(late > early + early / 20, keeps, "{early} {late}");
     }
 }
 

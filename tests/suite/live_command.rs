@@ -247,6 +247,23 @@ fn what_is_irregular_is_counted_and_taken_as_it_comes() {
 }
 
 #[test]
+fn a_run_without_frames_says_so_and_prints_no_times() {
+    let folder = tempfile::tempdir().unwrap();
+    for (sent, status, says) in
+        [("", 0, ""), ("no frame\n", 3, "           1 lines or messages skipped that are no frames:\n")]
+    {
+        let path = folder.path().join("sent");
+        std::fs::write(&path, sent).unwrap();
+        let running = Running::start(&["-"], folder.path(), std::fs::File::open(&path).unwrap());
+        let output = running.child.wait_with_output().unwrap();
+        let printed = String::from_utf8(output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(status), "{printed}");
+        let rest = printed.strip_prefix("frames     none came from -: there is no vessel\n").unwrap();
+        assert!(rest.starts_with(says) && !rest.contains(" ms"), "{printed}");
+    }
+}
+
+#[test]
 fn a_network_that_is_too_fast_loses_its_oldest_frames() {
     let (folder, _) = folder();
     let folder = folder.path();

@@ -18,7 +18,7 @@ use super::prepare::grid::WallGrid;
 use super::support::{NodeErrors, Support};
 use super::wall::bending::LocalSmoothness;
 use super::wall::engine::refit;
-use super::wall::fit::Wall;
+use super::wall::fit::{Checkpoint, Wall};
 use super::wall::residual::is_inlier;
 use crate::Result;
 use crate::numerics::nonnegative::nonnegative_least_squares;
@@ -125,6 +125,7 @@ pub(super) fn estimate(
     echoes: &mut [Echo],
     wall: &mut Wall,
     support: &Support,
+    checkpoint: &Checkpoint,
 ) -> Result<Option<(RecordingErrors, NodeErrors)>> {
     let Prepared { grid, frames, .. } = prepared;
     let roughness = settings.roughness;
@@ -137,7 +138,7 @@ pub(super) fn estimate(
     // Without noise the grid smooths more than the echoes ask for.
     if !settings.even_smoothness && wall.noise_mm > grid.cell_noise_mm(roughness) {
         wall.local = LocalSmoothness::of(estimate.of_rings.iter().map(|ratio| ratio.recip()).collect());
-        *wall = refit(grid, echoes, roughness, wall.clone())?;
+        *wall = refit(grid, echoes, roughness, wall.clone(), checkpoint)?;
     } else {
         estimate.of_rings.fill(1.0);
     }

@@ -2,12 +2,12 @@
 
 use super::running_median::RunningMedian;
 use crate::numerics::robust::huber_weight;
-use crate::sweep::prepare::axis::Axis;
+use crate::sweep::prepare::axis::{Axis, Place};
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::{Corners, WallGrid};
 use crate::sweep::support::Tally;
 use crate::sweep::wall::equations::Equations;
-use crate::sweep::wall::residual::{ResidualModel, gate, is_inlier, measure_on_tube};
+use crate::sweep::wall::residual::{Measured, ResidualModel, gate, is_inlier, measure_on_tube};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -16,9 +16,17 @@ use std::ops::Range;
 /// Largest number of echoes kept in a cell of the grid; more are merged.
 const MAX_PER_CELL: usize = 40;
 
+/// The wall and the axis that samples are measured about.
+#[derive(Clone, Copy)]
+pub(super) struct Scene<'a> {
+    pub model: ResidualModel<'a>,
+    pub axis: &'a Axis,
+}
+
 /// An echo, or several that were merged into one.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Sample {
+    /// Its coordinates, with the ring counted from the first one of its band: rings that are added in front change nothing.
     pub echo: Echo,
     pub point_mm: DVec3,
     /// The image plane's normal in the world.
@@ -45,10 +53,28 @@ struct BandEquation {
 }
 
 impl Sample {
+    /// One that begins at `ring` as its band does.
+    pub fn new(place: &Place, point_mm: DVec3, image_normal: DVec3, frame: u32, grid: &WallGrid) -> Self {
+        let mut echo = Echo::new(place, image_normal, frame, grid.nodes);
+        echo.ring -= place.ring.floor();
+        Self { echo, point_mm, image_normal, weight: 1.0, scatter_mm2: 0.0, bin: None, is_merged: false }
+    }
+
+    /// Evaluates its residual, moves its projection, and returns the equation there; its band begins at `ring`.
+    fn measure(&mut self, ring: usize, model: ResidualModel) -> (Corners, Measured) {
+        let own = self.echo.ring;
+        self.echo.ring += ring as f64;
+        let (projected_ring, node) = self.echo.projection();
+        let corners = model.grid.corners(projected_ring, node);
+        let measured = model.measure(&mut self.echo, true);
+        self.echo.ring = own;
+        (corners, measured)
+    }
+
     /// Projects it onto the wall in two steps, since the wall is not flat.
-    fn project(&mut self, model: ResidualModel) {
+    fn project(&mut self, ring: usize, model: ResidualModel) {
         for _ in 0..2 {
-            model.measure(&mut self.echo, true);
+            self.measure(ring, model);
         }
     }
 
@@ -63,28 +89,27 @@ impl Sample {
         let place = axis.place(self.point_mm, near)?;
         let before = self.echo;
         self.echo = Echo::new(&place, self.image_normal, before.frame, nodes);
+        self.echo.ring -= place.ring.floor();
         self.echo.keep_projection_of(&before);
         Some(place.ring as usize)
     }
 
-    fn equation(&mut self, model: ResidualModel, warm_up: bool) -> BandEquation {
+    fn equation(&mut self, ring: usize, model: ResidualModel, warm_up: bool) -> BandEquation {
         let ResidualModel { grid, noise_mm, .. } = model;
         if warm_up {
             let measured = measure_on_tube(&mut self.echo);
-            let (ring, node) = self.echo.projection();
             let (weight, value_mm) = (self.weight * measured.weight, measured.wall_mm);
-            let corners = grid.corners(ring, node);
+            let corners = grid.corners(self.echo.ring + ring as f64, self.echo.node);
             return BandEquation { corners, weight, robust: 1.0, value_mm, on_wall: true };
         }
-        let (ring, node) = self.echo.projection();
-        let measured = model.measure(&mut self.echo, true);
+        let (corners, measured) = self.measure(ring, model);
         let residual = self.echo.residual_mm.abs();
         let on_wall = residual <= gate(noise_mm, measured.wall_mm);
         // Merged echoes too: they are alike in their noise, which does not make them more likely to be the wall's.
         let robust = if on_wall { huber_weight(noise_mm, residual) } else { 0.0 };
         let weight = robust * measured.weight * self.weight;
         let value_mm = measured.wall_mm + measured.radial_mm;
-        BandEquation { corners: grid.corners(ring, node), weight, robust, value_mm, on_wall }
+        BandEquation { corners, weight, robust, value_mm, on_wall }
     }
 
     /// Replaces its residual in the running median of all.
@@ -98,54 +123,146 @@ impl Sample {
     }
 }
 
-/// The echoes between two rings.
+/// What the samples of a band add up to, over the rings about their projections.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct EchoBand {
-    cells: Vec<Vec<Sample>>,
-    /// Number of echoes that arrived, merged or not.
-    pub count: usize,
-    /// Number of samples that are kept.
-    pub kept: usize,
-    /// Rings that the sums cover: those about the projections.
+pub(super) struct Sums {
     pub rings: Range<usize>,
     pub equations: Equations,
     pub tally: Tally,
+}
+
+impl Sums {
+    fn none(grid: &WallGrid, ring: usize) -> Self {
+        Self { rings: ring..ring, equations: Equations::over(grid, ring..ring), tally: Tally::new(0) }
+    }
+
+    /// Whether they are those of a band of this grid.
+    fn is_sound(&self, grid: &WallGrid) -> bool {
+        let Self { rings, equations, tally } = self;
+        rings.start <= rings.end
+            && rings.end <= grid.rings
+            && (rings.is_empty() || equations.covers(rings, grid))
+            && tally.covers(rings.len() * grid.nodes)
+    }
+
+    /// Adds a sample.
+    fn add(&mut self, sample: &Sample, equation: &BandEquation, grid: &WallGrid) {
+        let ring = equation.corners.nodes.into_iter().min().unwrap_or(0) / grid.nodes;
+        self.cover(ring..ring + 2, grid);
+        if equation.weight > 0.0 {
+            self.equations.add(&equation.corners, equation.weight, equation.value_mm);
+        }
+        let residual = sample.echo.residual_mm;
+        let squares_mm2 = sample.scatter_mm2 + sample.weight * residual * residual;
+        let node = equation.corners.nearest() - self.rings.start * grid.nodes;
+        self.tally.add(node, equation.on_wall, sample.weight, squares_mm2, sample.echo.frame);
+    }
+
+    /// Widens them to cover `rings`.
+    fn cover(&mut self, rings: Range<usize>, grid: &WallGrid) {
+        if self.rings.is_empty() {
+            self.rings = rings;
+            self.equations = Equations::over(grid, self.rings.clone());
+            self.tally = Tally::new(self.rings.len() * grid.nodes);
+        } else if rings.start < self.rings.start || rings.end > self.rings.end {
+            let wider = rings.start.min(self.rings.start)..rings.end.max(self.rings.end);
+            let mut equations = Equations::over(grid, wider.clone());
+            equations.merge(&self.equations);
+            let mut tally = Tally::new(wider.len() * grid.nodes);
+            tally.merge((self.rings.start - wider.start) * grid.nodes, &self.tally, 0);
+            *self = Self { rings: wider, equations, tally };
+        }
+    }
+
+    /// Shifts ring numbers by `rings` new rings in front.
+    fn renumber(&mut self, rings: usize, nodes: usize) {
+        self.rings = self.rings.start + rings..self.rings.end + rings;
+        self.equations.renumber(rings * nodes);
+    }
+
+    /// Changes them where the rings `moved` have moved, and the radii at their nodes by `shift_mm` with them.
+    fn follow(&mut self, moved: &Range<usize>, shift_mm: &[f64], nodes: usize) {
+        if self.rings.is_empty() || self.rings.start >= moved.end || moved.start >= self.rings.end {
+            return;
+        }
+        let shift_of = |ring: usize| match moved.contains(&ring) {
+            true => &shift_mm[(ring - moved.start) * nodes..(ring - moved.start + 1) * nodes],
+            false => &[],
+        };
+        let mut shifts_mm = vec![0.0; self.rings.len() * nodes];
+        for (ring, shifts_mm) in self.rings.clone().zip(shifts_mm.chunks_exact_mut(nodes)) {
+            let shift_mm = shift_of(ring);
+            shifts_mm[..shift_mm.len()].copy_from_slice(shift_mm);
+        }
+        self.equations.shift(&shifts_mm, nodes);
+    }
+
+    /// Multiplies the weights of all samples.
+    fn scale(&mut self, factor: f64) {
+        self.equations.scale(factor);
+        self.tally.scale(factor);
+    }
+}
+
+/// Sums that are being computed anew, cell by cell, over several frames if need be.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Renewal {
+    /// The next cell.
+    cell: usize,
+    sums: Sums,
+    /// Whether the axis had moved since the samples were placed.
+    places: bool,
+    /// Whether the samples have never been projected onto the wall.
+    projects: bool,
+}
+
+/// The echoes between two rings.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct EchoBand {
+    /// The first of the two.
+    ring: usize,
+    cells: Vec<Vec<Sample>>,
+    /// Number of echoes that arrived, merged or not.
+    pub count: usize,
+    pub sums: Sums,
+    renewal: Option<Renewal>,
     /// Upper bound of a node's displacement since the residuals were evaluated, mm.
     pub travel_mm: f64,
+    /// The number of the last renewal, of all bands together; 0 where one is overdue.
+    pub turn: u64,
     /// Time of the last echo, s.
     pub latest_s: f64,
-    /// Whether the echoes have been projected onto the wall.
+    /// Whether the axis has moved since the samples were placed.
+    pub is_misplaced: bool,
+    /// Whether the samples have been projected onto the wall.
     is_projected: bool,
 }
 
 impl EchoBand {
     pub fn new(grid: &WallGrid, ring: usize) -> Self {
         Self {
+            ring,
             cells: vec![Vec::new(); grid.nodes],
             count: 0,
-            kept: 0,
-            rings: ring..ring,
-            equations: Equations::over(grid, ring..ring),
-            tally: Tally::new(0),
+            sums: Sums::none(grid, ring),
+            renewal: None,
             travel_mm: 0.0,
+            turn: 0,
             latest_s: f64::NEG_INFINITY,
+            is_misplaced: false,
             is_projected: false,
         }
     }
 
-    /// Whether it can go on after it was read from a file, as a band of this grid.
-    pub fn is_sound(&self, grid: &WallGrid) -> bool {
-        let covers = |rings: &Range<usize>| {
-            rings.start <= rings.end
-                && rings.end <= grid.rings
-                && self.equations.covers(rings, grid)
-                && self.tally.covers(rings.len() * grid.nodes)
-        };
-        self.cells.len() == grid.nodes
-            && self.kept == self.cells.iter().map(Vec::len).sum::<usize>()
+    /// Whether it can go on after it was read from a file, as the band of a grid that begins at `ring`.
+    pub fn is_sound(&self, grid: &WallGrid, ring: usize) -> bool {
+        let renewal = self.renewal.as_ref();
+        self.ring == ring
+            && self.cells.len() == grid.nodes
             && self.cells.iter().all(|cell| cell.len() <= MAX_PER_CELL)
             && self.count < usize::MAX / 2
-            && (covers(&self.rings) || self.rings.start == self.rings.end && self.rings.end <= grid.rings)
+            && self.sums.is_sound(grid)
+            && renewal.is_none_or(|renewal| renewal.cell < grid.nodes && renewal.sums.is_sound(grid))
     }
 
     /// The bins of its samples in the running median of all.
@@ -159,54 +276,31 @@ impl EchoBand {
         self.count < self.cells.len()
     }
 
+    /// The sums, and those that are to take their place.
+    fn all_sums(&mut self) -> impl Iterator<Item = &mut Sums> {
+        std::iter::once(&mut self.sums).chain(self.renewal.as_mut().map(|renewal| &mut renewal.sums))
+    }
+
     /// Shifts ring numbers by `rings` new rings in front.
     pub fn renumber(&mut self, rings: usize) {
-        self.rings = self.rings.start + rings..self.rings.end + rings;
-        self.equations.renumber(rings * self.cells.len());
-        self.samples().for_each(|sample| sample.echo.renumber(rings));
-    }
-
-    fn samples(&mut self) -> impl Iterator<Item = &mut Sample> {
-        self.cells.iter_mut().flatten()
-    }
-
-    /// Places the samples of this band, which begins at `ring`, about an axis that moved. Those of other cells now leave,
-    /// with the numbers of their bands; those beyond the axis's ends are dropped. The sums stay as they are.
-    pub fn place_again(&mut self, axis: &Axis, ring: usize) -> Vec<(usize, Sample)> {
         let nodes = self.cells.len();
-        let mut leaving = Vec::new();
-        for (node, cell) in self.cells.iter_mut().enumerate() {
-            let mut bands = Vec::new();
-            let gone = cell.extract_if(.., |sample| {
-                let band = sample.place_again(axis, ring, nodes);
-                let stays = band == Some(ring) && sample.cell(nodes) == node;
-                if !stays {
-                    bands.push(band);
-                }
-                !stays
-            });
-            let gone: Vec<Sample> = gone.collect();
-            self.kept -= gone.len();
-            self.count = self.count.saturating_sub(gone.len());
-            leaving.extend(bands.into_iter().zip(gone).filter_map(|(band, sample)| Some((band?, sample))));
-        }
-        leaving
+        self.ring += rings;
+        self.all_sums().for_each(|sums| sums.renumber(rings, nodes));
     }
 
     /// Keeps a sample that left another cell. The sums that have it travelled by `travel_mm`.
-    pub fn take_in(&mut self, mut sample: Sample, model: ResidualModel, axis: &Axis, travel_mm: f64) {
+    pub fn take_in(&mut self, mut sample: Sample, scene: Scene, travel_mm: f64) {
         self.travel_mm = self.travel_mm.max(travel_mm);
         let warm_up = self.counts_up();
-        let equation = sample.equation(model, warm_up);
-        self.keep(sample, &equation, model, axis);
+        let equation = sample.equation(self.ring, scene.model, warm_up);
+        self.add(sample, &equation, scene);
     }
 
-    /// Changes the sums where the rings `moved` have moved, and the radii at all nodes by `shift_mm` with them.
-    pub fn move_sums(&mut self, moved: &Range<usize>, shift_mm: &[f64], grid: &WallGrid) {
-        if !self.rings.is_empty() && self.rings.start < moved.end && moved.start < self.rings.end {
-            let nodes = self.rings.start * grid.nodes..self.rings.end * grid.nodes;
-            self.equations.shift(&shift_mm[nodes], grid.nodes);
-        }
+    /// Changes the sums where the rings `moved` have moved, and the radii at their nodes by `shift_mm` with them: to first
+    /// order they keep their meaning.
+    pub fn follow(&mut self, moved: &Range<usize>, shift_mm: &[f64]) {
+        let nodes = self.cells.len();
+        self.all_sums().for_each(|sums| sums.follow(moved, shift_mm, nodes));
     }
 
     /// Counts an echo that arrives; whether there are still too few to determine a wall.
@@ -216,84 +310,57 @@ impl EchoBand {
         let warm_up = self.is_warming_up();
         if was_warming_up && !warm_up {
             // From now on there is a wall to evaluate all residuals on.
-            self.travel_mm = f64::INFINITY;
+            (self.travel_mm, self.turn) = (f64::INFINITY, 0);
         }
         warm_up
     }
 
     /// Ages the samples: their weights decrease by `factor`.
     pub fn age(&mut self, factor: f64) {
-        for sample in self.samples() {
+        for sample in self.cells.iter_mut().flatten() {
             sample.weight *= factor;
             sample.scatter_mm2 *= factor;
         }
-        self.equations.scale(factor);
-        self.tally.scale(factor);
+        self.all_sums().for_each(|sums| sums.scale(factor));
     }
 
     /// Adds a new sample of this band; in a full cell it is merged with the sample of the most similar direction of view.
     ///
     /// Returns the ring of its projection, and whether it lies on the wall.
-    pub fn insert(
-        &mut self,
-        mut sample: Sample,
-        model: ResidualModel,
-        axis: &Axis,
-        residuals: &mut RunningMedian,
-    ) -> (f64, bool) {
+    pub fn insert(&mut self, mut sample: Sample, scene: Scene, residuals: &mut RunningMedian) -> (f64, bool) {
         let warm_up = self.counts_up();
         if !warm_up {
-            sample.project(model);
+            sample.project(self.ring, scene.model);
         }
-        let equation = sample.equation(model, warm_up);
+        let equation = sample.equation(self.ring, scene.model, warm_up);
         if !warm_up {
             sample.count(residuals);
         }
-        let ring = sample.echo.projection().0;
-        self.add(&sample, &equation, model.grid);
-        self.keep(sample, &equation, model, axis);
-        (ring, equation.on_wall)
+        let (ring, on_wall) = (self.ring as f64 + sample.echo.projection().0, equation.on_wall);
+        self.add(sample, &equation, scene);
+        (ring, on_wall)
     }
 
-    /// Adds a sample to the sums.
-    fn add(&mut self, sample: &Sample, equation: &BandEquation, grid: &WallGrid) {
-        let ring = equation.corners.nodes.into_iter().min().unwrap_or(0) / grid.nodes;
-        self.cover(ring..ring + 2, grid);
-        if equation.weight > 0.0 {
-            self.equations.add(&equation.corners, equation.weight, equation.value_mm);
+    /// Adds a sample to the sums, and keeps it.
+    fn add(&mut self, sample: Sample, equation: &BandEquation, scene: Scene) {
+        let (cell, grid) = (sample.cell(self.cells.len()), scene.model.grid);
+        self.sums.add(&sample, equation, grid);
+        // Cells that are still to come will be added with all that they hold.
+        if let Some(renewal) = self.renewal.as_mut().filter(|renewal| cell < renewal.cell) {
+            renewal.sums.add(&sample, equation, grid);
         }
-        let residual = sample.echo.residual_mm;
-        let squares_mm2 = sample.scatter_mm2 + sample.weight * residual * residual;
-        let node = equation.corners.nearest() - self.rings.start * grid.nodes;
-        self.tally.add(node, equation.on_wall, sample.weight, squares_mm2, sample.echo.frame);
-    }
-
-    /// Widens the sums to cover `rings`.
-    fn cover(&mut self, rings: Range<usize>, grid: &WallGrid) {
-        if self.rings.is_empty() {
-            self.rings = rings;
-            self.equations = Equations::over(grid, self.rings.clone());
-            self.tally = Tally::new(self.rings.len() * grid.nodes);
-        } else if rings.start < self.rings.start || rings.end > self.rings.end {
-            let wider = rings.start.min(self.rings.start)..rings.end.max(self.rings.end);
-            let mut equations = Equations::over(grid, wider.clone());
-            equations.merge(&self.equations);
-            let mut tally = Tally::new(wider.len() * grid.nodes);
-            tally.merge((self.rings.start - wider.start) * grid.nodes, &self.tally, 0);
-            (self.rings, self.equations, self.tally) = (wider, equations, tally);
-        }
+        self.keep(sample, equation, scene);
     }
 
     /// Keeps a sample, or merges it with another of its cell.
-    fn keep(&mut self, sample: Sample, equation: &BandEquation, model: ResidualModel, axis: &Axis) {
+    fn keep(&mut self, sample: Sample, equation: &BandEquation, scene: Scene) {
         let node = sample.cell(self.cells.len());
         let cell = &mut self.cells[node];
         if cell.len() < MAX_PER_CELL {
             cell.push(sample);
-            self.kept += 1;
             return;
         }
-        let is_on_wall = |other: &Sample| is_inlier(&other.echo, model.noise_mm);
+        let is_on_wall = |other: &Sample| is_inlier(&other.echo, scene.model.noise_mm);
         if !equation.on_wall {
             // Off the wall, the newest echoes replace the oldest.
             if let Some(oldest) = cell.iter().position(|other| !is_on_wall(other)) {
@@ -308,7 +375,7 @@ impl EchoBand {
             .max_by(|&a, &b| likeness(&cell[a]).total_cmp(&likeness(&cell[b])));
         match partner {
             Some(partner) => {
-                if let Some(merged) = merged(&cell[partner], &sample, equation.robust, model.grid, axis) {
+                if let Some(merged) = merged(&cell[partner], &sample, equation.robust, self.ring, scene) {
                     cell[partner] = merged;
                 }
             }
@@ -316,46 +383,93 @@ impl EchoBand {
         }
     }
 
-    /// Evaluates all residuals again and computes the sums. [`count_residuals`](Self::count_residuals) has to follow.
-    pub fn measure(&mut self, model: ResidualModel, warm_up: bool) {
-        let warm_up = warm_up || self.is_warming_up();
-        let mut cells = std::mem::take(&mut self.cells);
-        let project = !warm_up && !std::mem::replace(&mut self.is_projected, !warm_up);
-        let empty = self.rings.start..self.rings.start;
-        (self.rings, self.tally) = (empty, Tally::new(0));
-        for sample in cells.iter_mut().flatten() {
-            if project {
-                sample.project(model);
-            }
-            let equation = sample.equation(model, warm_up);
-            self.add(sample, &equation, model.grid);
-        }
-        self.cells = cells;
-        self.travel_mm = 0.0;
+    /// Whether its sums are being computed anew.
+    pub fn is_in_renewal(&self) -> bool {
+        self.renewal.is_some()
     }
 
-    /// Replaces the residuals in the running median of all, unless there is no wall yet.
-    pub fn count_residuals(&mut self, residuals: &mut RunningMedian, warm_up: bool) {
-        if !(warm_up || self.is_warming_up()) {
-            self.samples().for_each(|sample| sample.count(residuals));
+    /// Evaluates the residuals of some samples again, cell by cell from where the last call ended, after they were placed
+    /// about the axis where that has moved. The new sums take the place of the old ones once all cells are done. The samples
+    /// are subtracted from `budget`.
+    ///
+    /// Returns the samples that lie in other cells now, with the numbers of their bands; those beyond the axis's ends are
+    /// dropped.
+    pub fn renew(
+        &mut self,
+        scene: Scene,
+        residuals: &mut RunningMedian,
+        warm_up: bool,
+        budget: &mut usize,
+    ) -> Vec<(usize, Sample)> {
+        let (ring, nodes) = (self.ring, self.cells.len());
+        let warm_up = warm_up || self.is_warming_up();
+        let mut renewal = self.renewal.take().unwrap_or_else(|| {
+            self.travel_mm = 0.0;
+            Renewal {
+                cell: 0,
+                sums: Sums::none(scene.model.grid, ring),
+                places: std::mem::take(&mut self.is_misplaced),
+                projects: !warm_up && !std::mem::replace(&mut self.is_projected, !warm_up),
+            }
+        });
+        let mut leaving = Vec::new();
+        while renewal.cell < nodes && *budget > 0 {
+            let cell = &mut self.cells[renewal.cell];
+            *budget = budget.saturating_sub(cell.len().max(1));
+            if renewal.places || self.is_misplaced {
+                let mut k = 0;
+                while k < cell.len() {
+                    let band = cell[k].place_again(scene.axis, ring, nodes);
+                    if band == Some(ring) && cell[k].cell(nodes) == renewal.cell {
+                        k += 1;
+                        continue;
+                    }
+                    self.count = self.count.saturating_sub(1);
+                    let sample = cell.remove(k);
+                    leaving.extend(band.map(|band| (band, sample)));
+                }
+            }
+            for sample in cell {
+                if renewal.projects {
+                    sample.project(ring, scene.model);
+                }
+                let equation = sample.equation(ring, scene.model, warm_up);
+                renewal.sums.add(sample, &equation, scene.model.grid);
+                if !warm_up {
+                    sample.count(residuals);
+                }
+            }
+            renewal.cell += 1;
         }
+        match renewal.cell < nodes {
+            true => self.renewal = Some(renewal),
+            false => self.sums = renewal.sums,
+        }
+        leaving
     }
 }
 
-/// One sample for two of a cell; `share` is the robust weight of the second. `None` where their mean has no coordinates.
-fn merged(a: &Sample, b: &Sample, share: f64, grid: &WallGrid, axis: &Axis) -> Option<Sample> {
+/// One sample for two of a cell of the band at `ring`; `share` is the robust weight of the second. `None` where their mean
+/// has no coordinates.
+fn merged(a: &Sample, b: &Sample, share: f64, ring: usize, scene: Scene) -> Option<Sample> {
+    let Scene { model: ResidualModel { grid, .. }, axis } = scene;
     let added = b.weight * share;
     let weight = a.weight + added;
     let t = added / weight;
-    let ((ring_a, node_a), (ring_b, node_b)) = ((a.echo.ring, a.echo.node), (b.echo.ring, b.echo.node));
-    let (ring, node) = (ring_a + (ring_b - ring_a) * t, node_a + (node_b - node_a) * t);
-    let radius_mm = a.echo.radius_mm + (b.echo.radius_mm - a.echo.radius_mm) * t;
-    let point_mm = axis.point_between_mm(ring, TAU * node / grid.nodes as f64, radius_mm);
+    // The first may have been placed about the axis as it was before.
+    let (there, here) = (axis.place(a.point_mm, ring)?, &b.echo);
+    let node_a = there.theta_rad / TAU * grid.nodes as f64;
+    let around = (here.node - node_a + grid.nodes as f64 / 2.0).rem_euclid(grid.nodes as f64);
+    let node = node_a + (around - grid.nodes as f64 / 2.0) * t;
+    let mean_ring = there.ring + (ring as f64 + here.ring - there.ring) * t;
+    let radius_mm = there.radius_mm + (here.radius_mm - there.radius_mm) * t;
+    let point_mm = axis.point_between_mm(mean_ring, TAU * node / grid.nodes as f64, radius_mm);
     let other = if a.image_normal.dot(b.image_normal) < 0.0 { -b.image_normal } else { b.image_normal };
     let image_normal = a.image_normal.lerp(other, t).try_normalize()?;
-    let place = axis.place(point_mm, ring as usize)?;
+    let place = axis.place(point_mm, mean_ring.max(0.0) as usize)?;
     let apart = a.echo.residual_mm - b.echo.residual_mm;
     let mut echo = Echo::new(&place, image_normal, a.echo.frame.max(b.echo.frame), grid.nodes);
+    echo.ring -= ring as f64;
     echo.keep_projection_of(&a.echo);
     let scatter_mm2 = a.scatter_mm2 + b.scatter_mm2 + a.weight * t * apart * apart;
     Some(Sample { echo, point_mm, image_normal, weight, scatter_mm2, bin: None, is_merged: true })

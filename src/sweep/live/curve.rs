@@ -18,7 +18,7 @@ const MAX_RELEASED: usize = 8;
 /// Centres farther than this from the curve, in lumen radii, are outliers: not of this vessel, or not yet.
 const OUTLIER_RADII: f64 = 2.0;
 /// Smaller changes of the curve, in lumen radii, are not applied.
-const TOLERANCE_RADII: f64 = 0.01;
+const TOLERANCE_RADII: f64 = 0.05;
 /// Nodes that move by less, in lumen radii, keep their place while others move, so that fewer echoes must be placed again.
 const STILL_RADII: f64 = 0.002;
 /// This many successive outliers show that the vessel continues there.

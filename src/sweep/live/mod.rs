@@ -25,14 +25,19 @@ use curve::Curve;
 use glam::{DVec2, DVec3};
 use running_median::RunningMedian;
 use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::ops::Range;
 use std::time::Instant;
-use vessel::{GrowingVessel, PlacedFrame, Step};
+pub(crate) use vessel::Step;
+use vessel::{GrowingVessel, PlacedFrame};
 
 /// Largest number of frames that wait until the contours cover a lumen's radius of the vessel; beyond it every second one
 /// is dropped.
 const MAX_WAITING: usize = 128;
+/// Echoes that a vessel begins with, and waiting ones that every later frame brings along.
+const FIRST_ECHOES: usize = 2048;
+const FED_ECHOES: usize = 256;
 /// The vessel begins when the contours' centres lie this many lumen radii apart.
 const START_RADII: f64 = 1.5;
 
@@ -43,7 +48,8 @@ pub(crate) struct LiveSweep {
     settings: Settings,
     frames: usize,
     clock_s: f64,
-    waiting: Vec<PlacedFrame>,
+    /// Frames from before the vessel began, the oldest first: a few of them come with every frame after that.
+    waiting: VecDeque<PlacedFrame>,
     /// Running medians of the contours' radii and of their [angle jumps](angle_jumps_mm).
     contours: RunningMedian,
     jumps: RunningMedian,
@@ -56,7 +62,7 @@ impl LiveSweep {
             settings: settings.clone(),
             frames: 0,
             clock_s: 0.0,
-            waiting: Vec::new(),
+            waiting: VecDeque::new(),
             contours: RunningMedian::new(),
             jumps: RunningMedian::new(),
             vessel: None,
@@ -108,9 +114,10 @@ impl LiveSweep {
         if let Some(vessel) = &mut self.vessel {
             vessel.grid.arc_mm = TAU * radius_mm / vessel.grid.nodes as f64;
             // On a thread of the pool, so that none of the many short tasks has to be handed over to it.
-            return rayon::scope(|_| vessel.push(&placed));
+            let earlier = fed(&mut self.waiting, FED_ECHOES);
+            return rayon::scope(|_| vessel.push(&placed, &earlier));
         }
-        self.waiting.push(placed);
+        self.waiting.push_back(placed);
         if self.waiting.len() > MAX_WAITING {
             let mut count = 0;
             self.waiting.retain(|_| {
@@ -145,10 +152,27 @@ impl LiveSweep {
         let curve = Curve::along(&curve, &centres, radius_mm);
         let mut vessel = GrowingVessel::along(curve, nodes, step_mm, radius_mm, &self.settings);
         let axis_s = start.elapsed().as_secs_f64();
-        let step = Step { axis_s, ..vessel.start(&self.waiting)? };
-        self.waiting = Vec::new();
+        // As many as a frame has time for, evenly spread.
+        let echoes: usize = self.waiting.iter().map(PlacedFrame::echo_count).sum();
+        let (mut seen, mut taken) = (0, 0);
+        let (first, later) =
+            std::mem::take(&mut self.waiting).into_iter().partition::<VecDeque<_>, _>(|frame| {
+                seen += frame.echo_count();
+                let is_due = taken * echoes <= seen * FIRST_ECHOES.min(echoes);
+                taken += if is_due { frame.echo_count() } else { 0 };
+                is_due
+            });
+        self.waiting = later;
+        let step = Step { axis_s, ..vessel.start(&Vec::from(first))? };
         self.vessel = Some(vessel);
         Ok(step)
+    }
+
+    /// Adds what still waits from before the vessel began, and fits the whole wall. After the last frame: it takes longer than
+    /// a frame may.
+    pub fn flush(&mut self) -> Result<Step> {
+        let Some(vessel) = &mut self.vessel else { return Ok(Step::default()) };
+        vessel.finish(&fed(&mut self.waiting, usize::MAX))
     }
 
     /// Number of rings.
@@ -171,4 +195,16 @@ impl LiveSweep {
         };
         surface(&vessel.axis, vessel.grid.nodes, rings, &vessel.support, radius, keep_unsupported)
     }
+}
+
+/// Takes the frames that waited longest, of at least so many echoes.
+fn fed(waiting: &mut VecDeque<PlacedFrame>, echoes: usize) -> Vec<PlacedFrame> {
+    let mut taken = 0;
+    let is_enough = |frame: &PlacedFrame| {
+        let is_enough = taken >= echoes;
+        taken += frame.echo_count();
+        is_enough
+    };
+    let count = waiting.iter().position(is_enough).unwrap_or(waiting.len());
+    waiting.drain(..count).collect()
 }

@@ -36,6 +36,11 @@ impl RunningMedian {
         self.total -= 1;
     }
 
+    /// The number of values.
+    pub fn count(&self) -> u64 {
+        self.total
+    }
+
     /// Whether these values can be removed, by their bins, as often as they come.
     pub fn holds(&self, bins: impl Iterator<Item = u16>) -> bool {
         let mut left = self.counts.clone();

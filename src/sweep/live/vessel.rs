@@ -1,6 +1,6 @@
 //! The vessel that a live sweep has found so far.
 
-use super::band::{EchoBand, Sample};
+use super::band::{EchoBand, Sample, Scene};
 use super::curve::{Curve, Growth};
 use super::running_median::RunningMedian;
 use crate::Result;
@@ -11,37 +11,36 @@ use crate::recording::echo_error::OUT_OF_PLANE;
 use crate::settings::Settings;
 use crate::sweep::prepare::axis::Axis;
 use crate::sweep::prepare::contour::Outline;
-use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::WallGrid;
 use crate::sweep::support::{Support, Tally, is_in_reach, max_error_mm};
 use crate::sweep::wall::bending::LocalSmoothness;
 use crate::sweep::wall::equations::Equations;
 use crate::sweep::wall::operator::Operator;
 use crate::sweep::wall::residual::ResidualModel;
-use crate::sweep::wall::solver::{System, solve};
+use crate::sweep::wall::solver::{self, System};
 use glam::{DMat3, DVec3};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::ops::Range;
 use std::time::Instant;
 
-/// Largest number of echoes beyond the ends that wait until the axis reaches them.
+/// Largest number of echoes beyond the ends that wait until the axis reaches them, and of those that are tried in a frame.
 const MAX_PENDING: usize = 2048;
+const MAX_TRIED: usize = 256;
 /// Largest number of rings of the window about a frame.
 const MAX_WINDOW: usize = 48;
 /// Rings of the background window, and the rings that it advances per frame.
 const BACKGROUND_WINDOW: usize = 24;
 const BACKGROUND_STEP: usize = 16;
-/// Largest number of samples whose residuals are evaluated again per window, and when the axis has moved.
-const MAX_MEASURED: usize = 4000;
-const MAX_MEASURED_AFTER_MOVE: usize = 20_000;
+/// Largest number of samples whose residuals are evaluated again in the window about a frame, and in the background window.
+const MAX_MEASURED: usize = 4096;
+const MAX_MEASURED_BEHIND: usize = 512;
 /// Residuals stay valid while no node about has moved by more than this share of the noise.
 const ENOUGH_NOISE_SHARE: f64 = 0.002;
 /// Steps of the solver for a window, and the share of the residual that may remain.
-const MAX_STEPS: usize = 8;
-const SOLVED_SHARE: f64 = 0.02;
+const MAX_STEPS: usize = 4;
+const SOLVED_SHARE: f64 = 0.05;
 /// Largest distance of projections from their echoes, in rings.
 const MAX_PROJECTION: usize = 16;
 /// Rings beside a window that affect the support in it.
@@ -52,8 +51,12 @@ const MAX_RINGS: usize = 1 << 24;
 const MAX_NODES: usize = 1 << 14;
 const MIN_STEP_SPACINGS: f64 = 1e-3;
 /// Rounds over the first frames, and those of them that are a warm-up.
-const FIRST_ROUNDS: usize = 5;
-const WARM_UP_ROUNDS: usize = 2;
+const FIRST_ROUNDS: usize = 4;
+const WARM_UP_ROUNDS: usize = 1;
+/// Rounds over all echoes after the last frame.
+const LAST_ROUNDS: usize = 4;
+/// Residuals from which the noise is known.
+const MIN_RESIDUALS: u64 = 256;
 
 /// The change of the vessel by a frame.
 #[derive(Debug, Clone, Default)]
@@ -85,6 +88,10 @@ pub(super) struct PlacedFrame {
 }
 
 impl PlacedFrame {
+    pub fn echo_count(&self) -> usize {
+        self.frame.echoes_mm().count()
+    }
+
     /// The centre of the outline in the world.
     pub fn centre_mm(&self) -> Option<DVec3> {
         Some(self.world_from_probe.transform_point(self.outline?.centre_mm.extend(0.0)))
@@ -113,10 +120,13 @@ pub(super) struct GrowingVessel {
     pub radii_mm: Vec<f64>,
     /// Band k lies between ring k and the next.
     bands: Vec<EchoBand>,
+    /// Renewals of bands that were begun.
+    turns: u64,
     /// The bands from the first to the last with echoes.
     observed: Range<usize>,
-    /// Echoes beyond the ends, the oldest first.
+    /// Echoes beyond the ends: first those to be tried since the axis has moved, then the others; both the oldest first.
     pending: VecDeque<PendingEcho>,
+    untried: usize,
     pub support: Support,
     /// Running medians of |residual|, of the weight of the echoes at a node, and of the nodes' standard errors.
     residuals: RunningMedian,
@@ -147,8 +157,10 @@ impl GrowingVessel {
             half_life_s: settings.sweep.half_life_s,
             radii_mm: Vec::new(),
             bands: Vec::new(),
+            turns: 0,
             observed: 0..0,
             pending: VecDeque::new(),
+            untried: 0,
             support: Support::none(),
             residuals: RunningMedian::new(),
             densities: RunningMedian::new(),
@@ -179,11 +191,12 @@ impl GrowingVessel {
             && [axis.points_mm.len(), axis.frames.len(), self.bands.len()] == [rings; 3]
             && [self.radii_mm.len(), self.bins.len()] == [rings * nodes; 2]
             && self.support.is_of(rings * nodes)
-            && self.bands.iter().all(|band| band.is_sound(&self.grid))
+            && self.bands.iter().enumerate().all(|(ring, band)| band.is_sound(&self.grid, ring))
             && self.observed.start <= self.observed.end
             && self.observed.end < rings
             && self.background < rings + BACKGROUND_STEP
             && self.pending.len() <= MAX_PENDING
+            && self.untried <= self.pending.len()
             && self.residuals.holds(self.bands.iter().flat_map(EchoBand::bins))
             && self.densities.holds(bins(0))
             && self.errors.holds(bins(1))
@@ -198,91 +211,111 @@ impl GrowingVessel {
         let mut radii: Vec<f64> = samples.iter().map(|(_, sample, _)| sample.echo.radius_mm).collect();
         let start_mm = median(&mut radii);
         self.radii_mm.fill(start_mm);
+        let count = samples.len();
+        step.echoes = count;
         for (band, sample, time_s) in samples {
             self.insert(band, sample, time_s, start_mm);
         }
         step.placing_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         for round in 0..FIRST_ROUNDS {
-            let noise_mm = if round < WARM_UP_ROUNDS { start_mm } else { self.noise_mm() };
-            let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
-            let observed: Vec<usize> = self.observed.clone().collect();
-            measure(&mut self.bands, &observed, model, &mut self.residuals, round < WARM_UP_ROUNDS);
-            step.echoes += self.bands.iter().map(|band| band.kept).sum::<usize>();
-            step.rings += self.refit(self.observed.start..self.observed.end + 1, &mut 0)?.len();
+            let scene = scene(&self.grid, &self.radii_mm, &self.axis, self.judging_noise_mm());
+            for band in &mut self.bands[self.observed.clone()] {
+                // No echo changes its cell: the axis is as it was.
+                band.renew(scene, &mut self.residuals, round < WARM_UP_ROUNDS, &mut { usize::MAX });
+            }
+            step.echoes += count;
+            step.rings += self.solve(self.observed.start..self.observed.end + 1)?.len();
         }
         step.changed.push(0..self.grid.rings);
         step.solving_s = start.elapsed().as_secs_f64();
         Ok(step)
     }
 
-    /// Adds a frame.
+    /// Adds a frame, and the echoes of earlier ones whose centres the axis knows.
     ///
     /// # Errors
     /// [`Error::Solver`](crate::Error::Solver) where the wall's equations have no solution; the wall then stays as it was.
-    pub fn push(&mut self, frame: &PlacedFrame) -> Result<Step> {
+    pub fn push(&mut self, frame: &PlacedFrame, earlier: &[PlacedFrame]) -> Result<Step> {
         let mut step = Step::default();
         let start = Instant::now();
         match frame.centre_mm().map(|centre| self.curve.push(centre)) {
             Some(Growth::Moved { before, moved }) => {
-                let (before, moved) = self.move_axis(before, moved, &mut step);
+                let (before, moved) = self.move_axis(before, moved);
                 step.before = before;
                 step.changed.push(moved);
             }
             Some(Growth::Outlier) => step.off_axis = true,
             Some(Growth::None) | None => (),
         }
+        let noise_mm = self.judging_noise_mm();
+        self.place_pending(noise_mm, &mut step);
         step.axis_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let noise_mm = self.noise_mm();
-        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        for (band, sample, time_s) in self.placed(frame, step.off_axis) {
-            step.changed.extend(self.mark_observed(band));
-            let (ring, on_wall) = self.insert(band, sample, time_s, noise_mm);
-            step.echoes += 1;
-            if on_wall {
-                (low, high) = (low.min(ring), high.max(ring));
-            }
+        for earlier in earlier {
+            self.place(earlier, false, noise_mm, &mut step);
         }
+        let on_wall = self.place(frame, step.off_axis, noise_mm, &mut step);
         step.placing_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
-        if low <= high {
+        if let Some((low, high)) = on_wall {
             let middle = (low + high) / 2.0;
             let reach = ((high - low) / 2.0 + self.margin()).min(MAX_WINDOW as f64 / 2.0);
             let first = (middle - reach).max(0.0) as usize;
             let window = first..((middle + reach) as usize + 2).min(self.grid.rings);
-            let mut measured = MAX_MEASURED;
-            let solved = self.refit(window, &mut measured)?;
-            step.echoes += MAX_MEASURED - measured;
-            step.rings += solved.len();
-            step.changed.push(solved);
+            self.refit(window, MAX_MEASURED, &mut step)?;
         }
-        step.changed.push(self.refit_background(&mut step.echoes, &mut step.rings)?);
+        self.refit_background(&mut step)?;
         step.solving_s = start.elapsed().as_secs_f64();
         step.changed.retain(|range| !range.is_empty());
-        step.changed.sort_by_key(|range| range.start);
-        step.changed.dedup_by(|next, before| {
-            let joined = next.start <= before.end;
-            if joined {
-                before.end = before.end.max(next.end);
-            }
-            joined
-        });
         Ok(step)
     }
 
+    /// Adds the echoes of earlier frames whose centres the axis knows, and fits the whole wall to all echoes.
+    pub fn finish(&mut self, earlier: &[PlacedFrame]) -> Result<Step> {
+        let mut step = Step::default();
+        let start = Instant::now();
+        let noise_mm = self.judging_noise_mm();
+        for earlier in earlier {
+            self.place(earlier, false, noise_mm, &mut step);
+        }
+        step.placing_s = start.elapsed().as_secs_f64();
+        let start = Instant::now();
+        for _ in 0..LAST_ROUNDS {
+            self.refit(self.observed.start..self.observed.end + 1, usize::MAX, &mut step)?;
+        }
+        step.solving_s = start.elapsed().as_secs_f64();
+        Ok(step)
+    }
+
+    /// Adds the echoes of a frame; the rings of the first and the last of them on the wall.
+    fn place(
+        &mut self,
+        frame: &PlacedFrame,
+        off_axis: bool,
+        noise_mm: f64,
+        step: &mut Step,
+    ) -> Option<(f64, f64)> {
+        let mut on_wall: Option<(f64, f64)> = None;
+        for (band, sample, time_s) in self.placed(frame, off_axis) {
+            step.changed.extend(self.mark_observed(band));
+            step.echoes += 1;
+            if let (ring, true) = self.insert(band, sample, time_s, noise_mm) {
+                let (low, high) = on_wall.unwrap_or((ring, ring));
+                on_wall = Some((low.min(ring), high.max(ring)));
+            }
+        }
+        on_wall
+    }
+
     /// Fits the wall in the background window again, and advances it along the vessel.
-    fn refit_background(&mut self, echoes: &mut usize, rings: &mut usize) -> Result<Range<usize>> {
+    fn refit_background(&mut self, step: &mut Step) -> Result<()> {
         if !(self.observed.start..self.observed.end).contains(&self.background) {
             self.background = self.observed.start;
         }
         let window = self.background..(self.background + BACKGROUND_WINDOW).min(self.observed.end + 1);
         self.background += BACKGROUND_STEP;
-        let mut measured = MAX_MEASURED / 2;
-        let solved = self.refit(window, &mut measured)?;
-        *echoes += MAX_MEASURED / 2 - measured;
-        *rings += solved.len();
-        Ok(solved)
+        self.refit(window, MAX_MEASURED_BEHIND, step)
     }
 
     /// Rings beside the newest echoes that these affect: three times the range of the bending term.
@@ -292,9 +325,17 @@ impl GrowingVessel {
         (3.0 * reach_mm / self.grid.step_mm).clamp(2.0, 12.0)
     }
 
-    /// Standard deviation of an echo about the wall, mm.
+    /// Standard deviation of an echo about the wall, mm; 0 of no residuals yet.
     pub fn noise_mm(&self) -> f64 {
         SD_PER_MAD * self.residuals.value()
+    }
+
+    /// The noise that residuals are judged by, mm: as much as the lumen's radius until enough of them are known.
+    fn judging_noise_mm(&self) -> f64 {
+        match self.residuals.count() < MIN_RESIDUALS {
+            true => self.grid.radius_mm(),
+            false => self.noise_mm(),
+        }
     }
 
     fn smoothness_mm2(&self) -> f64 {
@@ -330,26 +371,25 @@ impl GrowingVessel {
         near: usize,
     ) -> Option<(usize, Sample)> {
         let place = self.axis.place(point_mm, near)?;
-        let echo = Echo::new(&place, image_normal, frame, self.grid.nodes);
-        let (weight, scatter_mm2) = (1.0, 0.0);
-        let sample =
-            Sample { echo, point_mm, image_normal, weight, scatter_mm2, bin: None, is_merged: false };
+        let sample = Sample::new(&place, point_mm, image_normal, frame, &self.grid);
         Some((place.ring as usize, sample))
     }
 
     fn postpone(&mut self, point_mm: DVec3, image_normal: DVec3, frame: &PlacedFrame) {
         if self.pending.len() == MAX_PENDING {
             self.pending.pop_front();
+            self.untried = self.untried.saturating_sub(1);
         }
         let PlacedFrame { number, time_s, .. } = *frame;
         self.pending.push_back(PendingEcho { point_mm, image_normal, frame: number, time_s });
     }
 
-    /// Places the pending echoes that the axis has reached by now.
+    /// Places the pending echoes that the axis has reached by now, as many as a frame has time for.
     fn place_pending(&mut self, noise_mm: f64, step: &mut Step) {
-        let pending = std::mem::take(&mut self.pending);
-        step.echoes += pending.len();
-        for echo in pending {
+        for _ in 0..self.untried.min(MAX_TRIED) {
+            self.untried -= 1;
+            let Some(echo) = self.pending.pop_front() else { return };
+            step.echoes += 1;
             let last = self.grid.rings - 1;
             let distance = |ring: usize| self.axis.points_mm[ring].distance_squared(echo.point_mm);
             let near = if distance(0) < distance(last) { 0 } else { last };
@@ -365,14 +405,14 @@ impl GrowingVessel {
 
     /// Adds a sample to its band; returns the ring of its projection, and whether it lies on the wall.
     fn insert(&mut self, band: usize, sample: Sample, time_s: f64, noise_mm: f64) -> (f64, bool) {
-        let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
+        let scene = scene(&self.grid, &self.radii_mm, &self.axis, noise_mm);
         let band = &mut self.bands[band];
         if let Some(half_life_s) = self.half_life_s.filter(|_| band.latest_s < time_s) {
             band.age((-(time_s - band.latest_s) / half_life_s).exp2());
         }
         band.latest_s = band.latest_s.max(time_s);
         let radius_mm = sample.echo.radius_mm;
-        let inserted = band.insert(sample, model, &self.axis, &mut self.residuals);
+        let inserted = band.insert(sample, scene, &mut self.residuals);
         if inserted.1 {
             self.farthest_mm = self.farthest_mm.max(radius_mm);
         }
@@ -432,9 +472,11 @@ impl GrowingVessel {
         }
     }
 
-    /// Moves the rings about the curve's nodes `moved`, after `before` nodes were added in front, and places their echoes
-    /// again. Returns the number of rings added in front, and the rings that moved or are new.
-    fn move_axis(&mut self, before: usize, moved: Range<usize>, step: &mut Step) -> (usize, Range<usize>) {
+    /// Moves the rings about the curve's nodes `moved`, after `before` nodes were added in front. Returns the number of rings
+    /// added in front, and the rings that moved or are new.
+    ///
+    /// To first order, wall and sums keep their meaning; the echoes are placed again when their bands are renewed.
+    fn move_axis(&mut self, before: usize, moved: Range<usize>) -> (usize, Range<usize>) {
         let (step_mm, nodes) = (self.grid.step_mm, self.grid.nodes);
         let spacing_mm = self.curve.spacing_mm();
         self.origin_mm += before as f64 * spacing_mm;
@@ -460,7 +502,8 @@ impl GrowingVessel {
         frames.splice(0..0, std::iter::repeat_n(DMat3::IDENTITY, in_front));
         points.resize(all.end, DVec3::ZERO);
         frames.resize(all.end, DMat3::IDENTITY);
-        let before_mm: Vec<DVec3> = points[changed.clone()].to_vec();
+        let points_before: Vec<DVec3> = points[changed.clone()].to_vec();
+        let frames_before: Vec<DMat3> = frames[changed.clone()].to_vec();
         let tangents: Vec<DVec3> = changed
             .clone()
             .map(|ring| {
@@ -482,88 +525,87 @@ impl GrowingVessel {
                 frames[ring] = transported(&frames[from], points[ring] - points[from], tangents[ring]);
             }
         }
-        let mut shift_mm = vec![0.0; self.radii_mm.len()];
-        let mut travel_mm = vec![0.0; all.end];
-        for ring in changed.clone().filter(|ring| (in_front..in_front + old).contains(ring)) {
-            let shift = self.axis.points_mm[ring] - before_mm[ring - changed.start];
+        let mut shift_mm = vec![0.0; changed.len() * nodes];
+        let mut travel_mm = vec![0.0; changed.len()];
+        for (k, ring) in
+            changed.clone().enumerate().filter(|(_, ring)| (in_front..in_front + old).contains(ring))
+        {
+            let shift = self.axis.points_mm[ring] - points_before[k];
             let frame = &self.axis.frames[ring];
+            let turn = *frame - frames_before[k];
+            let turn =
+                [turn.x_axis, turn.y_axis, turn.z_axis].map(DVec3::length).into_iter().fold(0.0, f64::max);
+            travel_mm[k] = shift.length() + turn * self.grid.radius_mm();
             let (x, y) = (shift.dot(frame.x_axis), shift.dot(frame.y_axis));
-            travel_mm[ring] = shift.length();
             for j in 0..nodes {
                 let (sin, cos) = (TAU * j as f64 / nodes as f64).sin_cos();
-                shift_mm[ring * nodes + j] = -(x * cos + y * sin);
+                shift_mm[k * nodes + j] = -(x * cos + y * sin);
             }
         }
-        // To first order the wall keeps its place.
-        self.radii_mm.iter_mut().zip(&shift_mm).for_each(|(radius, shift)| *radius += shift);
-        self.place_again(&changed, &shift_mm, &travel_mm, step);
-        self.place_pending(self.noise_mm(), step);
+        let first_node = changed.start * nodes;
+        self.radii_mm[first_node..].iter_mut().zip(&shift_mm).for_each(|(radius, shift)| *radius += shift);
+        for (ring, band) in self.bands.iter_mut().enumerate() {
+            band.follow(&changed, &shift_mm);
+            if (changed.start.saturating_sub(1)..changed.end).contains(&ring) {
+                let of = |ring: usize| ring.checked_sub(changed.start).and_then(|k| travel_mm.get(k));
+                band.travel_mm += of(ring).into_iter().chain(of(ring + 1)).copied().fold(0.0, f64::max);
+                band.is_misplaced = true;
+            }
+        }
+        self.untried = self.pending.len();
         (in_front, changed)
     }
 
-    /// Places the echoes about rings that moved by `travel_mm` again.
-    ///
-    /// Of the bands that travelled most, as many are linearised anew as a frame has time for. The sums of the others keep
-    /// their meaning to first order, as the radii do, which changed by `shift_mm`: their turn comes in the windows of later
-    /// frames.
-    fn place_again(&mut self, moved: &Range<usize>, shift_mm: &[f64], travel_mm: &[f64], step: &mut Step) {
-        let bands = moved.start.saturating_sub(1)..moved.end.min(self.grid.rings - 1);
-        let (axis, grid) = (&self.axis, &self.grid);
-        let leaving: Vec<Vec<(usize, Sample)>> = self
-            .bands
-            .par_iter_mut()
-            .enumerate()
-            .map(|(ring, band)| {
-                band.move_sums(moved, shift_mm, grid);
-                if bands.contains(&ring) { band.place_again(axis, ring) } else { Vec::new() }
-            })
-            .collect();
-        let noise_mm = self.noise_mm();
-        for (ring, samples) in leaving.into_iter().enumerate().filter(|(ring, _)| bands.contains(ring)) {
-            let travel_mm = travel_mm[ring].max(travel_mm[ring + 1]);
-            self.bands[ring].travel_mm += travel_mm;
-            step.echoes += self.bands[ring].kept + samples.len();
-            for (band, sample) in samples {
+    /// The band to renew next, of those that have travelled by more than `enough_mm`: one that was begun, or the one whose
+    /// last turn was longest ago. If the one that travelled most came first, an end that moves with every frame would keep
+    /// all others waiting.
+    fn next_due(&self, bands: Range<usize>, enough_mm: f64) -> Option<usize> {
+        let is_due = |band: &usize| {
+            let band = &self.bands[*band];
+            band.is_in_renewal() || band.travel_mm > enough_mm
+        };
+        bands.filter(is_due).min_by_key(|&band| (!self.bands[band].is_in_renewal(), self.bands[band].turn))
+    }
+
+    /// Evaluates up to `budget` residuals again about a window of rings, where wall and axis have moved most.
+    fn renew(&mut self, window: &Range<usize>, budget: usize, step: &mut Step) {
+        let noise_mm = self.judging_noise_mm();
+        let enough_mm = ENOUGH_NOISE_SHARE * noise_mm;
+        let bands = window.start.saturating_sub(1)..window.end.min(self.grid.rings - 1);
+        let mut left = budget;
+        while left > 0
+            && let Some(band) = self.next_due(bands.clone(), enough_mm)
+        {
+            if !self.bands[band].is_in_renewal() {
+                self.turns += 1;
+                self.bands[band].turn = self.turns;
+            }
+            let scene = scene(&self.grid, &self.radii_mm, &self.axis, noise_mm);
+            let leaving = self.bands[band].renew(scene, &mut self.residuals, false, &mut left);
+            for (band, sample) in leaving {
                 step.changed.extend(self.mark_observed(band));
-                let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
-                self.bands[band].take_in(sample, model, &self.axis, travel_mm);
+                let scene = self::scene(&self.grid, &self.radii_mm, &self.axis, noise_mm);
+                self.bands[band].take_in(sample, scene, enough_mm);
             }
         }
-        let mut budget = MAX_MEASURED_AFTER_MOVE;
-        let due = self.due(bands, 0.0, &mut budget);
-        let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
-        measure(&mut self.bands, &due, model, &mut self.residuals, false);
+        step.echoes += budget - left;
     }
 
-    /// Those of some bands that have travelled by more than `enough_mm`, the ones that travelled most first, as many as a
-    /// budget of samples allows; in ascending order.
-    fn due(&self, bands: Range<usize>, enough_mm: f64, budget: &mut usize) -> Vec<usize> {
-        let mut due: Vec<usize> = bands.filter(|&band| self.bands[band].travel_mm > enough_mm).collect();
-        due.sort_by(|&a, &b| self.bands[b].travel_mm.total_cmp(&self.bands[a].travel_mm));
-        let affordable = due.into_iter().take_while(|&band| {
-            let left = budget.checked_sub(self.bands[band].kept);
-            *budget = left.unwrap_or(*budget);
-            left.is_some()
-        });
-        let mut due: Vec<usize> = affordable.collect();
-        due.sort_unstable();
-        due
-    }
-
-    /// Solves for the wall in a window of rings with all others fixed. Before that, up to `budget` residuals are evaluated
-    /// again, where the wall has moved most; they are subtracted from the budget. Returns the rings.
-    fn refit(&mut self, window: Range<usize>, budget: &mut usize) -> Result<Range<usize>> {
+    /// Fits the wall in a window of rings again: up to `budget` residuals are evaluated anew, and the wall is solved for.
+    fn refit(&mut self, window: Range<usize>, budget: usize, step: &mut Step) -> Result<()> {
         let window = window.start.max(self.observed.start)..window.end.min(self.observed.end + 1);
-        if window.len() < 2 {
-            return Ok(0..0);
+        if window.len() >= 2 {
+            self.renew(&window, budget, step);
+            let solved = self.solve(window)?;
+            step.rings += solved.len();
+            step.changed.push(solved);
         }
-        let (nodes, all) = (self.grid.nodes, self.grid.rings);
-        let noise_mm = self.noise_mm();
-        let model = residual_model(&self.grid, &self.radii_mm, noise_mm);
-        let enough_mm = ENOUGH_NOISE_SHARE * noise_mm;
-        let due = self.due(window.start.saturating_sub(1)..window.end.min(all - 1), enough_mm, budget);
-        measure(&mut self.bands, &due, model, &mut self.residuals, false);
+        Ok(())
+    }
 
+    /// Solves for the wall in a window of observed rings with all others fixed. Returns the rings.
+    fn solve(&mut self, window: Range<usize>) -> Result<Range<usize>> {
+        let (nodes, all) = (self.grid.nodes, self.grid.rings);
         let smoothness = self.smoothness_mm2();
         let beside = |margin: usize| window.start.saturating_sub(margin)..(window.end + margin).min(all);
         let (solved, supporting) = (beside(2), beside(SUPPORT_MARGIN));
@@ -571,14 +613,15 @@ impl GrowingVessel {
         let mut equations = Equations::over(&self.grid, solved.clone());
         let mut tally = Tally::new(supporting.len() * nodes);
         for band in &self.bands[beside(MAX_PROJECTION + SUPPORT_MARGIN)] {
-            if band.rings.is_empty() {
+            let sums = &band.sums;
+            if sums.rings.is_empty() {
                 continue;
             }
-            equations.merge(&band.equations);
+            equations.merge(&sums.equations);
             tally.merge(
-                band.rings.start.saturating_sub(supporting.start) * nodes,
-                &band.tally,
-                supporting.start.saturating_sub(band.rings.start) * nodes,
+                sums.rings.start.saturating_sub(supporting.start) * nodes,
+                &sums.tally,
+                supporting.start.saturating_sub(sums.rings.start) * nodes,
             );
         }
         let x = &self.radii_mm[solved.start * nodes..solved.end * nodes];
@@ -587,7 +630,7 @@ impl GrowingVessel {
         Operator::of(&equations, &grid, smoothness, LocalSmoothness::EVEN).apply(x, &mut product);
         let equations = equations.of_change(&grid, smoothness, &product, free.clone());
         let mut change = vec![0.0; x.len()];
-        solve(&grid, &System::plain(&equations, smoothness), SOLVED_SHARE, MAX_STEPS, &mut change)?;
+        solver::solve(&grid, &System::plain(&equations, smoothness), SOLVED_SHARE, MAX_STEPS, &mut change)?;
         for ring in free {
             let travel = &change[ring * nodes..(ring + 1) * nodes];
             let ring = ring + solved.start;
@@ -635,24 +678,9 @@ impl GrowingVessel {
     }
 }
 
-/// Evaluates the residuals of some bands, in ascending order, and computes their sums.
-fn measure(
-    bands: &mut [EchoBand],
-    some: &[usize],
-    model: ResidualModel,
-    residuals: &mut RunningMedian,
-    warm_up: bool,
-) {
-    let is_due = |(number, _): &(usize, &mut EchoBand)| some.binary_search(number).is_ok();
-    let mut due: Vec<&mut EchoBand> =
-        bands.iter_mut().enumerate().filter(is_due).map(|(_, band)| band).collect();
-    due.par_iter_mut().for_each(|band| band.measure(model, warm_up));
-    due.iter_mut().for_each(|band| band.count_residuals(residuals, warm_up));
-}
-
-/// The model that residuals are evaluated on.
-fn residual_model<'a>(grid: &'a WallGrid, radii_mm: &'a [f64], noise_mm: f64) -> ResidualModel<'a> {
-    ResidualModel { grid, radii_mm, noise_mm, out_of_plane: OUT_OF_PLANE }
+/// What samples are measured about.
+fn scene<'a>(grid: &'a WallGrid, radii_mm: &'a [f64], axis: &'a Axis, noise_mm: f64) -> Scene<'a> {
+    Scene { model: ResidualModel { grid, radii_mm, noise_mm, out_of_plane: OUT_OF_PLANE }, axis }
 }
 
 /// Replaces a value in a running median.

@@ -59,11 +59,6 @@ impl Echo {
     pub(in crate::sweep) fn keep_projection_of(&mut self, other: &Self) {
         (self.shift, self.residual_mm) = (other.shift, other.residual_mm);
     }
-
-    /// Shifts ring numbers by `rings` new rings in front.
-    pub(in crate::sweep) fn renumber(&mut self, rings: usize) {
-        self.ring += rings as f64;
-    }
 }
 
 /// The echoes of contours about an axis, sorted along it; those beyond its ends are left out. `contours_mm` has an empty

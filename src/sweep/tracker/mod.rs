@@ -11,7 +11,7 @@ use crate::settings::SweepSettings;
 use crate::sweep::prepare::Prepared;
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::wall::engine::refit;
-use crate::sweep::wall::fit::Wall;
+use crate::sweep::wall::fit::{Checkpoint, Wall};
 use crate::{Error, Result};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use joint::{BendingPrior, Joint, Motion, NoiseLevels, Offset, Twist, corrected, split};
@@ -79,6 +79,7 @@ impl Tracker {
         settings: &SweepSettings,
         echoes: &mut Vec<Echo>,
         wall: &mut Wall,
+        checkpoint: &Checkpoint,
     ) -> Result<Option<Self>> {
         if !settings.correct_poses && !settings.estimate_offset {
             return Ok(None);
@@ -101,12 +102,12 @@ impl Tracker {
                 sensors = moved(&sensors, &motions, seconds);
                 *echoes = prepared.echoes(&sensors);
                 estimator.project(echoes, wall);
-                *wall = refit(grid, echoes, settings.roughness, wall.clone())?;
+                *wall = refit(grid, echoes, settings.roughness, wall.clone(), checkpoint)?;
             }
         }
         if settings.correct_poses {
             let mut found = estimator.estimate(&sensors, None, echoes.clone(), wall.clone())?;
-            let refitted = refit(grid, &mut found.echoes, settings.roughness, found.wall)?;
+            let refitted = refit(grid, &mut found.echoes, settings.roughness, found.wall, checkpoint)?;
             let parts: Vec<_> = found.errors.iter().map(|e| split(e, grid.radius_mm())).collect();
             let rms = |of: fn(&(DVec3, DVec3)) -> f64| {
                 (parts.iter().map(of).sum::<f64>() / parts.len().max(1) as f64).sqrt()
@@ -118,7 +119,7 @@ impl Tracker {
             report.poses_corrected = report.shift_mm <= MAX_SHIFT_RADII * grid.radius_mm()
                 && report.turn_deg <= MAX_TURN_DEG
                 && refitted.noise_mm <= wall.noise_mm
-                && improves_held_out(prepared, settings.roughness, &sensors, wall)?;
+                && improves_held_out(prepared, settings.roughness, &sensors, wall, checkpoint)?;
             if report.poses_corrected {
                 (*echoes, *wall) = (found.echoes, refitted);
             }
@@ -129,7 +130,13 @@ impl Tracker {
 
 /// Whether corrections that every second ray of each contour asks for bring the other rays nearer to the wall of the former:
 /// where poses have no errors, corrections fit the rays' noise, and the others then lie farther off.
-fn improves_held_out(prepared: &Prepared, roughness: f64, sensors: &[Pose], wall: &Wall) -> Result<bool> {
+fn improves_held_out(
+    prepared: &Prepared,
+    roughness: f64,
+    sensors: &[Pose],
+    wall: &Wall,
+    checkpoint: &Checkpoint,
+) -> Result<bool> {
     let every_second = |first: usize| -> Vec<Frame> {
         let half = |frame: &Frame| {
             let mut frame = frame.clone();
@@ -143,9 +150,9 @@ fn improves_held_out(prepared: &Prepared, roughness: f64, sensors: &[Pose], wall
     let estimator = Estimator { prepared: &used, roughness };
     let mut echoes = used.echoes(sensors);
     estimator.project(&mut echoes, wall);
-    let as_recorded = refit(&used.grid, &mut echoes, roughness, wall.clone())?;
+    let as_recorded = refit(&used.grid, &mut echoes, roughness, wall.clone(), checkpoint)?;
     let mut found = estimator.estimate(sensors, None, echoes, as_recorded.clone())?;
-    let with_corrections = refit(&used.grid, &mut found.echoes, roughness, found.wall)?;
+    let with_corrections = refit(&used.grid, &mut found.echoes, roughness, found.wall, checkpoint)?;
     // Beyond three standard deviations an echo says that it is off the wall, not how far.
     let most_mm2 = (3.0 * as_recorded.noise_mm).powi(2);
     let error_mm2 = |sensors: &[Pose], wall: &Wall| -> f64 {

@@ -1,14 +1,14 @@
 //! The choice of the engine that fits the wall.
 
 use super::cpu::CpuWallEngine;
-use super::fit::{self, Wall, start_mm};
+use super::fit::{self, Checkpoint, Wall, start_mm};
 #[cfg(feature = "gpu")]
 use super::gpu::GpuWallEngine;
-use crate::Result;
 use crate::engine::{EngineDescription, WORTH_A_DEVICE_S};
 use crate::settings::{Backend, Settings};
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::WallGrid;
+use crate::{Error, Result};
 
 /// CPU time of an echo in a reweighting and of a node in a step of the solver, in seconds, about twice that of a server
 /// processor; reweightings, and steps in each. They affect the choice of [`Backend::Auto`], but no result.
@@ -22,21 +22,22 @@ pub(in crate::sweep) fn fit(
     grid: &WallGrid,
     echoes: &mut [Echo],
     settings: &Settings,
+    checkpoint: &Checkpoint,
 ) -> Result<(Wall, EngineDescription)> {
+    let fit_on_cpu =
+        |grid: &WallGrid, echoes: &mut [Echo], why| fit_on_cpu(grid, echoes, settings, why, checkpoint);
     let ages = settings.sweep.half_life_s.is_some();
     match settings.backend {
-        Backend::Auto if ages => {
-            fit_on_cpu(grid, echoes, settings, Some("devices weigh all echoes alike".into()))
-        }
-        Backend::Gpu if ages => Err(crate::Error::Setting {
+        Backend::Auto if ages => fit_on_cpu(grid, echoes, Some("devices weigh all echoes alike".into())),
+        Backend::Gpu if ages => Err(Error::Setting {
             name: "backend".into(),
             found: "gpu".into(),
             expected: "auto or cpu with sweep.half_life_s: devices weigh all echoes alike".into(),
         }),
-        Backend::Cpu => fit_on_cpu(grid, echoes, settings, None),
+        Backend::Cpu => fit_on_cpu(grid, echoes, None),
         // On the CPU the sweep is its own reference.
         Backend::Reference => {
-            let (wall, engine) = fit_on_cpu(grid, echoes, settings, None)?;
+            let (wall, engine) = fit_on_cpu(grid, echoes, None)?;
             Ok((wall, EngineDescription { name: "reference".into(), ..engine }))
         }
         Backend::Auto => {
@@ -48,27 +49,28 @@ pub(in crate::sweep) fn fit(
                     "the work is about {} ms on the CPU, less than starting a device takes",
                     (cpu_seconds * 1e3).ceil()
                 );
-                return fit_on_cpu(grid, echoes, settings, Some(why));
+                return fit_on_cpu(grid, echoes, Some(why));
             }
             #[cfg(feature = "gpu")]
             let why = match crate::engine::start(settings.adapter.as_deref(), GpuWallEngine::new) {
                 Err(reason) => reason.to_string(),
-                Ok(engine) => match fit_on_device(grid, echoes, settings, &engine) {
+                Ok(engine) => match fit_on_device(grid, echoes, settings, &engine, checkpoint) {
                     Ok(wall) => {
                         let why = format!("the work is about {cpu_seconds:.1} s on the CPU");
                         return Ok((wall, EngineDescription { why: Some(why), ..engine.describe() }));
                     }
+                    Err(Error::Cancelled) => return Err(Error::Cancelled),
                     Err(failure) => format!("the device failed: {failure}"),
                 },
             };
             #[cfg(not(feature = "gpu"))]
             let why = "this build has no GPU engine".to_owned();
-            fit_on_cpu(grid, echoes, settings, Some(why))
+            fit_on_cpu(grid, echoes, Some(why))
         }
         #[cfg(feature = "gpu")]
         Backend::Gpu => {
             let engine = GpuWallEngine::new(settings.adapter.as_deref())?;
-            Ok((fit_on_device(grid, echoes, settings, &engine)?, engine.describe()))
+            Ok((fit_on_device(grid, echoes, settings, &engine, checkpoint)?, engine.describe()))
         }
         #[cfg(not(feature = "gpu"))]
         Backend::Gpu => Err(crate::settings::no_gpu_engine()),
@@ -81,9 +83,11 @@ pub(in crate::sweep) fn refit(
     echoes: &mut [Echo],
     roughness: f64,
     wall: Wall,
+    checkpoint: &Checkpoint,
 ) -> Result<Wall> {
     let start_mm = start_mm(echoes);
-    fit::reweighted(CpuWallEngine::new(grid, echoes, wall.clone()), grid, start_mm, roughness, wall)
+    let engine = CpuWallEngine::new(grid, echoes, wall.clone());
+    fit::reweighted(engine, grid, start_mm, roughness, wall, checkpoint)
 }
 
 fn fit_on_cpu(
@@ -91,10 +95,11 @@ fn fit_on_cpu(
     echoes: &mut [Echo],
     settings: &Settings,
     why: Option<String>,
+    checkpoint: &Checkpoint,
 ) -> Result<(Wall, EngineDescription)> {
     let start_mm = start_mm(echoes);
     let engine = CpuWallEngine::new(grid, echoes, Wall::tube(grid, start_mm));
-    let wall = fit::fit(engine, grid, start_mm, settings.sweep.roughness)?;
+    let wall = fit::fit(engine, grid, start_mm, settings.sweep.roughness, checkpoint)?;
     Ok((wall, EngineDescription { name: "cpu".into(), adapter: None, why }))
 }
 
@@ -104,7 +109,9 @@ pub(in crate::sweep) fn fit_on_device(
     echoes: &mut [Echo],
     settings: &Settings,
     engine: &GpuWallEngine,
+    checkpoint: &Checkpoint,
 ) -> Result<Wall> {
     let start_mm = start_mm(echoes);
-    fit::fit(engine.wall(grid, echoes, start_mm)?, grid, start_mm, settings.sweep.roughness)
+    let engine = engine.wall(grid, echoes, start_mm)?;
+    fit::fit(engine, grid, start_mm, settings.sweep.roughness, checkpoint)
 }

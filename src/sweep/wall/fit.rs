@@ -39,6 +39,9 @@ const ENOUGH_RADII: f64 = 1e-6;
 const SOLVED_NOISE_SHARE: f64 = 1e-4;
 const SOLVED_RADII: f64 = 1e-10;
 
+/// Asked before every reweighting whether to go on: an error ends the fit.
+pub(in crate::sweep) type Checkpoint<'a> = dyn Fn() -> Result<()> + 'a;
+
 /// The parameters of one reweighting.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::sweep) struct Reweighting {
@@ -107,9 +110,15 @@ impl Wall {
 }
 
 /// Fits a wall. `roughness` is τ: λ = (noise/τ)².
-pub(super) fn fit(engine: impl WallEngine, grid: &WallGrid, start_mm: f64, roughness: f64) -> Result<Wall> {
+pub(super) fn fit(
+    engine: impl WallEngine,
+    grid: &WallGrid,
+    start_mm: f64,
+    roughness: f64,
+    checkpoint: &Checkpoint,
+) -> Result<Wall> {
     let tube = Wall { radii_mm: Vec::new(), ..Wall::tube(grid, start_mm) };
-    reweighted(engine, grid, start_mm, roughness, tube)
+    reweighted(engine, grid, start_mm, roughness, tube, checkpoint)
 }
 
 /// Continues the fit of `wall`; the first iterations of a new one are its warm-up.
@@ -119,11 +128,13 @@ pub(super) fn reweighted(
     start_mm: f64,
     roughness: f64,
     mut wall: Wall,
+    checkpoint: &Checkpoint,
 ) -> Result<Wall> {
     let first = wall.iterations;
     let is_warm_up = |iteration: usize| iteration < WARM_UP_ITERATIONS;
     let mut residual_mm = engine.measure(wall.noise_mm, !is_warm_up(first))?;
     for iteration in first..first + MAX_ITERATIONS {
+        checkpoint()?;
         let warm_up = is_warm_up(iteration);
         wall.noise_mm = grid.smoothed_noise_mm(SD_PER_MAD * residual_mm, roughness);
         wall.smoothness_mm2 = (wall.noise_mm / roughness).powi(2);
