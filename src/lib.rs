@@ -43,6 +43,7 @@
 //! | [`engine`] | where work is computed, and why there |
 //! | [`cylinders`] | the published method: cylinders fitted to the wall points about a frame, then merged |
 //! | [`sweep`] | the default method: one smooth tube along the vessel's axis, fitted to all echoes |
+//! | [`branching`] | vessels that branch: the branches that were visited, swept and joined |
 //! | [`reconstruction`] | [`Reconstructor`](reconstruction::Reconstructor) for whole recordings, [`Live`](reconstruction::Live) for one frame at a time |
 //! | [`evaluate`] | distances to a truth surface, volumes |
 //! | [`anatomy`] | a vessel's axis, cross-sections, stenoses and aneurysms |

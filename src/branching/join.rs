@@ -21,6 +21,8 @@ const BESIDE: usize = 2;
 /// Steps in which the part of a ring that lies inside another tube is found, and rings over which a tube is narrowed to it.
 const SHARES: usize = 10;
 const NARROWED: usize = 12;
+/// Rounds of remeshing.
+const ROUNDS: usize = 4;
 /// Bounds of the distance that the field gives where a tube has none, in edges.
 const FAR_EDGES: f64 = 4.0;
 
@@ -300,7 +302,7 @@ fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
         fixed,
     };
     let wanted = |p: DVec3| nearest(p).map_or(edge_mm, |(t, _)| tubes[t].edge_mm);
-    let even = remeshed(&patches, &wanted)?.surface();
+    let even = remeshed(&patches, &wanted, ROUNDS)?.surface();
     let fallback = (members[0], Spot { ring: 0.0, theta_rad: 0.0, outside_mm: 0.0 });
     let origin = even.nodes_mm.par_iter().map(|p| nearest(*p).unwrap_or(fallback)).collect();
     Ok(Patch { surface: even, origin })

@@ -20,6 +20,9 @@ use serde::Serialize;
 use std::f64::consts::PI;
 use std::path::Path;
 
+/// Rounds of remeshing.
+const ROUNDS: usize = 10;
+
 /// The number of the wall among the faces.
 pub const WALL: u32 = 1;
 
@@ -248,7 +251,7 @@ impl FlowMesh {
                 cap(&mut patches, &last, add(&mut kinds, FaceKind::Cap, Some(last.cut_mm)))?;
             }
         }
-        let mut patches = remeshed(&patches, &edge_mm)?;
+        let mut patches = remeshed(&patches, &edge_mm, ROUNDS)?;
         for patch in (0..).zip(&kinds).filter(|(_, kind)| kind.kind == FaceKind::Cap).map(|(patch, _)| patch)
         {
             openings::dome(&mut patches, patch);

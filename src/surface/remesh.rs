@@ -11,8 +11,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Rounds of all changes, and of those at the end that only better the triangles' shapes.
-const ROUNDS: usize = 10;
+/// Rounds at the end that only better the triangles' shapes.
 const LAST_ROUNDS: usize = 4;
 /// Edges are split above, and collapsed below, these shares of the length that they should have.
 const LONGEST: f64 = 4.0 / 3.0;
@@ -64,11 +63,16 @@ impl Patches {
     }
 }
 
-/// The same surface in triangles whose edges have the length that `edge_mm` gives at a place.
-pub(crate) fn remeshed(patches: &Patches, edge_mm: &(dyn Fn(DVec3) -> f64 + Sync)) -> Result<Patches> {
+/// The same surface in triangles whose edges have the length that `edge_mm` gives at a place, after some rounds of all
+/// changes: ten make triangles even, fewer leave more of their shapes as they are.
+pub(crate) fn remeshed(
+    patches: &Patches,
+    edge_mm: &(dyn Fn(DVec3) -> f64 + Sync),
+    rounds: usize,
+) -> Result<Patches> {
     let target = Target::of(patches)?;
     let mut mesh = Mesh::of(patches);
-    for _ in 0..ROUNDS {
+    for _ in 0..rounds {
         mesh.edge_mm = mesh.nodes_mm.par_iter().map(|p| edge_mm(*p)).collect();
         mesh.split_long_edges();
         mesh.collapse_short_edges();

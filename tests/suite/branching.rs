@@ -13,7 +13,7 @@ use lumenmesh::simulate::{Insertion, Move, Noise, Phantom, Probe, Shape, Simulat
 use lumenmesh::surface::Surface;
 
 /// All of a surface; numbers that are none are equal.
-fn bits(surface: &Surface) -> impl PartialEq + std::fmt::Debug {
+fn bits(surface: &Surface) -> impl PartialEq + use<> {
     let nodes: Vec<[u64; 3]> = surface.nodes_mm.iter().map(|p| p.to_array().map(f64::to_bits)).collect();
     let values = |of: &[f64]| of.iter().map(|v| v.to_bits()).collect::<Vec<u64>>();
     let arrays: Vec<_> = surface.arrays.iter().map(|a| (a.name.clone(), values(&a.values))).collect();

@@ -35,6 +35,7 @@ const ORDER: &[&str] = &[
     "sweep::live",
     "sweep::report",
     "sweep",
+    "branching",
     "reconstruction",
     "evaluate",
     "anatomy",
