@@ -46,6 +46,14 @@ fn print(what: &str, times: &[[f64; 6]]) {
     for (k, column) in COLUMNS.iter().enumerate() {
         println!("   {column:9} {}", percentiles(times.iter().map(|t| t[k]).collect()));
     }
+    let mut slowest: Vec<usize> = (0..times.len()).collect();
+    slowest.sort_by(|&a, &b| times[b][0].total_cmp(&times[a][0]));
+    let slowest: Vec<String> = slowest
+        .iter()
+        .take(3)
+        .map(|&k| format!("frame {k} {:.1} ms ({:.1} CPU)", times[k][0], times[k][1]))
+        .collect();
+    println!("   slowest   {}", slowest.join(", "));
 }
 
 /// Mean distance of the nodes from a surface, mm.

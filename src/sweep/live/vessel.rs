@@ -29,17 +29,17 @@ use std::time::Instant;
 const MAX_PENDING: usize = 2048;
 const MAX_TRIED: usize = 256;
 /// Largest number of rings of the window about a frame.
-const MAX_WINDOW: usize = 48;
+const MAX_WINDOW: usize = 40;
 /// Rings of the background window, and the rings that it advances per frame.
-const BACKGROUND_WINDOW: usize = 24;
-const BACKGROUND_STEP: usize = 16;
+const BACKGROUND_WINDOW: usize = 16;
+const BACKGROUND_STEP: usize = 12;
 /// Largest number of samples whose residuals are evaluated again in the window about a frame, and in the background window.
-const MAX_MEASURED: usize = 4096;
+const MAX_MEASURED: usize = 3072;
 const MAX_MEASURED_BEHIND: usize = 512;
 /// Residuals stay valid while no node about has moved by more than this share of the noise.
 const ENOUGH_NOISE_SHARE: f64 = 0.002;
 /// Steps of the solver for a window, and the share of the residual that may remain.
-const MAX_STEPS: usize = 4;
+const MAX_STEPS: usize = 3;
 const SOLVED_SHARE: f64 = 0.05;
 /// Largest distance of projections from their echoes, in rings.
 const MAX_PROJECTION: usize = 16;
