@@ -8,6 +8,7 @@ use super::join::{Joined, Origin};
 use super::tube::Tube;
 use crate::Result;
 use crate::numerics::robust::{median, tukey_weight};
+use crate::surface::crossing::crossings;
 use crate::surface::{Locator, Surface};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -25,6 +26,10 @@ const MAX_STEPS: usize = 400;
 const ACCURACY: f64 = 1e-4;
 /// Largest movement of a node in one round, in edges.
 const MAX_EDGES: f64 = 1.5;
+/// Rounds in which crossings are undone, those of them that go half way back, and rings of nodes about a crossing that move.
+const UNTANGLING: usize = 24;
+const HALVINGS: usize = 4;
+const RINGS_ABOUT: usize = 2;
 /// Largest share of the echoes about a supported node that may lie off the wall, as in the sweep.
 const MAX_OFF_WALL: f64 = 0.5;
 /// Largest standard error of a supported node: in medians, or as a share of the radius, as in the sweep.
@@ -74,10 +79,12 @@ pub(super) fn fit(
     for parting in 0..partings {
         let Some(mut part) = Part::of(joined, parting, tubes, fits) else { continue };
         let near = part.near(echoes);
+        let before = part.surface.nodes_mm.clone();
         for _ in 0..ROUNDS {
             let seen = part.project(&near)?;
             part.move_nodes(&seen);
         }
+        part.untangle(&before);
         let seen = part.project(&near)?;
         let of_nodes = part.support(&seen, joined, fits);
         for (local, &node) in part.nodes.iter().enumerate() {
@@ -245,6 +252,51 @@ impl Part {
             if self.is_free[node] && u[node].is_finite() {
                 self.surface.nodes_mm[node] += normal * u[node].clamp(-most, most);
             }
+        }
+    }
+
+    /// Takes back what makes the surface cross itself, as where a septum between two branches is thinner than the noise:
+    /// nodes about a crossing go back half way to where they were `before`, a number of times, then all the way, and then to
+    /// the middle of their neighbours.
+    fn untangle(&mut self, before: &[DVec3]) {
+        let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); self.nodes.len()];
+        for &[a, b, c] in &self.surface.triangles {
+            for (node, others) in [(a, [b, c]), (b, [c, a]), (c, [a, b])] {
+                neighbours[node as usize].extend(others);
+            }
+        }
+        neighbours.iter_mut().for_each(|of| {
+            of.sort_unstable();
+            of.dedup();
+        });
+        for round in 0..UNTANGLING {
+            let crossing = crossings(&self.surface);
+            if crossing.is_empty() {
+                break;
+            }
+            let mut about: Vec<u32> =
+                crossing.into_iter().flatten().flat_map(|t| self.surface.triangles[t as usize]).collect();
+            for _ in 0..RINGS_ABOUT {
+                about.sort_unstable();
+                about.dedup();
+                about.extend(about.clone().into_iter().flat_map(|n| neighbours[n as usize].clone()));
+            }
+            about.sort_unstable();
+            about.dedup();
+            about.retain(|&n| self.is_free[n as usize]);
+            let at = &self.surface.nodes_mm;
+            let moved: Vec<DVec3> = about
+                .iter()
+                .map(|&n| match round {
+                    0..HALVINGS => 0.5 * (at[n as usize] + before[n as usize]),
+                    HALVINGS => before[n as usize],
+                    _ => {
+                        let of = &neighbours[n as usize];
+                        of.iter().map(|&k| at[k as usize]).sum::<DVec3>() / of.len() as f64
+                    }
+                })
+                .collect();
+            about.iter().zip(moved).for_each(|(&n, p)| self.surface.nodes_mm[n as usize] = p);
         }
     }
 

@@ -21,6 +21,9 @@ const BESIDE: usize = 2;
 /// Steps in which the part of a ring that lies inside another tube is found, and rings over which a tube is narrowed to it.
 const SHARES: usize = 10;
 const NARROWED: usize = 12;
+/// Edge of a cell of the lattice, as a share of the coarsest grid's edge, and of the smallest radius at most.
+const COARSEST_SHARE: f64 = 0.8;
+const RADIUS_SHARE: f64 = 0.15;
 /// Rounds of remeshing.
 const ROUNDS: usize = 4;
 /// Bounds of the distance that the field gives where a tube has none, in edges.
@@ -205,7 +208,7 @@ fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
     let mut members: Vec<usize> = zones.iter().map(|zone| zone.tube).collect();
     members.sort_unstable();
     members.dedup();
-    let edge_mm = members.iter().map(|&t| tubes[t].edge_mm).fold(f64::INFINITY, f64::min);
+    let edge_mm = cell_edge_mm(members.iter().map(|&t| &tubes[t]));
     let far_mm = FAR_EDGES * edge_mm;
     let nearest = |p: DVec3| -> Option<(usize, Spot)> {
         let spots = members.iter().filter_map(|&t| Some((t, tubes[t].spot(p)?)));
@@ -306,6 +309,16 @@ fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
     let fallback = (members[0], Spot { ring: 0.0, theta_rad: 0.0, outside_mm: 0.0 });
     let origin = even.nodes_mm.par_iter().map(|p| nearest(*p).unwrap_or(fallback)).collect();
     Ok(Patch { surface: even, origin })
+}
+
+/// Edge of a cell of the lattice, mm: nearly that of the coarsest grid, but not too long for the smallest lumen. Remeshing
+/// makes shorter edges where the grids have them.
+fn cell_edge_mm<'a>(tubes: impl Iterator<Item = &'a Tube<'a>> + Clone) -> f64 {
+    let edges = tubes.clone().map(|tube| tube.edge_mm);
+    let (finest, coarsest) =
+        edges.fold((f64::INFINITY, 0.0_f64), |(low, high), edge| (low.min(edge), high.max(edge)));
+    let radius_mm = tubes.map(Tube::median_radius_mm).fold(f64::INFINITY, f64::min);
+    finest.max((COARSEST_SHARE * coarsest).min(RADIUS_SHARE * radius_mm))
 }
 
 /// The part of a surface where a value of its nodes is positive.

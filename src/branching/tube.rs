@@ -1,5 +1,6 @@
 //! The wall of a branch as a function of place.
 
+use crate::numerics::robust::median;
 use crate::sweep::{Axis, Sweep};
 use glam::DVec3;
 use std::f64::consts::TAU;
@@ -46,6 +47,11 @@ impl<'a> Tube<'a> {
             edge_mm,
             reach_mm,
         }
+    }
+
+    /// Median radius of the wall, mm.
+    pub(super) fn median_radius_mm(&self) -> f64 {
+        median(&mut self.radii_mm.clone())
     }
 
     /// Radius of the wall, mm.

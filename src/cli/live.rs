@@ -1,8 +1,9 @@
 use super::messages::MessageArguments;
-use super::reconstruct::print_left_out;
+use super::reconstruct::{print_engine, print_left_out};
 use super::settings::SettingsArguments;
 use super::space::SpaceArgument;
 use super::{Shown, interrupt, print_json, progress, refuse_inputs};
+use crate::engine::EngineDescription;
 use crate::openigtlink::{self, Counts, Server, SharedCounts};
 use crate::reconstruction::{Live, Work};
 use crate::recording::{Finding, LeftOut, Recording, Screening};
@@ -180,6 +181,8 @@ struct Summary<'a> {
     /// Frames that the snapshot had seen before.
     resumed_from: Option<usize>,
     settings: &'a Settings,
+    /// Where frames were computed, and why there; `null` where there is no vessel.
+    engine: Option<EngineDescription>,
     /// Frames that were taken in this run.
     frames: usize,
     arrivals: &'a ArrivalsReport,
@@ -469,6 +472,7 @@ impl Arguments {
             interrupted: outcome.ended == Ended::Interrupted,
             resumed_from,
             settings,
+            engine: live.engine(),
             frames,
             arrivals: &outcome.arrivals,
             messages,
@@ -508,6 +512,9 @@ impl Summary<'_> {
             self.off_axis
         );
         print_left_out(self.left_out);
+        if let Some(engine) = &self.engine {
+            print_engine(engine, rayon::current_num_threads());
+        }
         self.print_arrivals();
         for frame in self.restarts {
             println!(

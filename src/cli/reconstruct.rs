@@ -336,7 +336,7 @@ fn print_tracker(tracker: &sweep::Tracker) {
 }
 
 /// The engine, and the reason where it was chosen automatically.
-fn print_engine(engine: &EngineDescription, threads: usize) {
+pub(super) fn print_engine(engine: &EngineDescription, threads: usize) {
     match &engine.adapter {
         Some(adapter) => println!("engine     {} on {adapter}", engine.name),
         None => println!("engine     {} on {threads} threads", engine.name),

@@ -3,14 +3,14 @@
 //! 1. The largest piece of the vessel is taken (`openings.rs`); holes in its wall are filled, or refused.
 //! 2. Its ends are cut flat, prolonged and capped.
 //! 3. All of it is remeshed, face by face (`surface::remesh`).
-//! 4. It is checked: closed, and without crossing triangles (`crossing.rs`).
+//! 4. It is checked: closed, and without crossing triangles (`surface::crossing`).
 
-mod crossing;
 mod openings;
 
 use crate::evaluate::Locator;
 use crate::numerics::robust::median;
 use crate::setters::setters;
+use crate::surface::crossing::crossings;
 use crate::surface::remesh::{Patches, remeshed, smallest_angle_rad};
 use crate::surface::{PolyData, Space, Surface};
 use crate::{Error, Result, output};
@@ -325,7 +325,7 @@ impl FlowMesh {
                 expected: "none".into(),
             });
         }
-        if let Some([s, t]) = crossing::first_crossing(&self.surface) {
+        if let Some([s, t]) = crossings(&self.surface).first().copied() {
             let [a, b] = [s, t].map(|t| self.surface.corners_mm(t as usize).iter().sum::<DVec3>() / 3.0);
             return Err(Error::Surface {
                 what: format!("mesh at {}", place(0.5 * (a + b))),

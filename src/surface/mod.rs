@@ -1,5 +1,6 @@
 //! Triangle surfaces with arrays over their nodes, and their file formats.
 
+pub(crate) mod crossing;
 mod cut;
 mod formats;
 mod locator;

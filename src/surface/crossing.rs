@@ -1,6 +1,6 @@
 //! Where a surface crosses itself.
 
-use crate::surface::Surface;
+use super::Surface;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use robust::{Coord, Coord3D, orient2d, orient3d};
@@ -10,12 +10,12 @@ const CELL_BOXES: f64 = 2.0;
 /// Most cells of the grid along one axis.
 const MAX_CELLS: f64 = 1e6;
 
-/// The first pair of triangles that meet elsewhere than at the nodes and edges that they share.
-pub(super) fn first_crossing(surface: &Surface) -> Option<[u32; 2]> {
+/// The pairs of triangles that meet elsewhere than at the nodes and edges that they share, ascending.
+pub(crate) fn crossings(surface: &Surface) -> Vec<[u32; 2]> {
     let corners: Vec<[DVec3; 3]> = (0..surface.triangles.len()).map(|t| surface.corners_mm(t)).collect();
     let boxes: Vec<[DVec3; 2]> =
         corners.iter().map(|[a, b, c]| [a.min(*b).min(*c), a.max(*b).max(*c)]).collect();
-    let [low, high] = surface.bounding_box_mm()?;
+    let Some([low, high]) = surface.bounding_box_mm() else { return Vec::new() };
     let mean = boxes.iter().map(|[p, q]| (*q - *p).max_element()).sum::<f64>() / boxes.len().max(1) as f64;
     let cell_mm = (CELL_BOXES * mean).max((high - low).max_element() / MAX_CELLS).max(f64::MIN_POSITIVE);
     let cell = |p: DVec3| ((p - low) / cell_mm).floor().as_i64vec3();
@@ -32,14 +32,16 @@ pub(super) fn first_crossing(surface: &Surface) -> Option<[u32; 2]> {
     let cells: Vec<&[([i64; 3], u32)]> = entries.chunk_by(|p, q| p.0 == q.0).collect();
     let of_cell = |cell: &&[([i64; 3], u32)]| {
         let pairs = cell.iter().enumerate().flat_map(|(k, p)| cell[k + 1..].iter().map(|q| [p.1, q.1]));
-        pairs
-            .filter(|&[s, t]| {
-                let ([p, q], [r, u]) = (boxes[s as usize], boxes[t as usize]);
-                p.cmple(u).all() && r.cmple(q).all() && do_cross(surface, [s, t], &corners)
-            })
-            .min()
+        let crossing = pairs.filter(|&[s, t]| {
+            let ([p, q], [r, u]) = (boxes[s as usize], boxes[t as usize]);
+            p.cmple(u).all() && r.cmple(q).all() && do_cross(surface, [s, t], &corners)
+        });
+        crossing.collect::<Vec<_>>()
     };
-    cells.par_iter().filter_map(of_cell).min()
+    let mut found: Vec<[u32; 2]> = cells.par_iter().flat_map_iter(of_cell).collect();
+    found.sort_unstable();
+    found.dedup();
+    found
 }
 
 fn do_cross(surface: &Surface, pair: [u32; 2], corners: &[[DVec3; 3]]) -> bool {
@@ -134,7 +136,7 @@ mod tests {
 
     fn of(nodes: &[[f64; 3]], triangles: &[[u32; 3]]) -> Option<[u32; 2]> {
         let nodes_mm = nodes.iter().map(|p| DVec3::from_array(*p)).collect();
-        first_crossing(&Surface { nodes_mm, triangles: triangles.to_vec(), arrays: Vec::new() })
+        crossings(&Surface { nodes_mm, triangles: triangles.to_vec(), arrays: Vec::new() }).first().copied()
     }
 
     #[test]
