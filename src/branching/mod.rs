@@ -119,7 +119,7 @@ fn swept(
             let number = frame.number.unwrap_or(k);
             frame.with_number(Some(number))
         });
-        let part = Recording { frames: frames.collect(), ..Recording::default() };
+        let part = Recording { frames: frames.collect() };
         let tell = |stage: &'static str, done: usize, total: usize| -> ControlFlow<()> {
             progress(stage, (count - 1 - number) * total + done, count * total)
         };

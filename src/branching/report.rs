@@ -17,7 +17,8 @@ pub struct BranchesReport {
     pub dismissed: Vec<Dismissed>,
     /// Frames of the recording.
     pub frames: usize,
-    /// Frames that belong to no branch, since their contours are not star-shaped about their centres or enclose no area.
+    /// Frames with echoes that belong to no branch, since their contours are not star-shaped about their centres or enclose
+    /// no area.
     pub frames_left_out: Vec<usize>,
     /// Nodes of the joined surface, supported or not.
     pub nodes: usize,
@@ -84,7 +85,10 @@ impl BranchesReport {
         let kept = whole.triangles.iter().filter(|t| t.iter().all(|&n| is_supported(n))).copied().collect();
         let surface = Surface { nodes_mm: whole.nodes_mm.clone(), triangles: kept, arrays: Vec::new() };
         let surface = surface.without_small_parts(super::LEAST_PART);
-        let left_out = (0..recording.frames.len()).filter(|&k| tree.frame_branch[k].is_none());
+        // Screening has emptied the contours that it left out.
+        let has_echoes = |k: &usize| recording.frames[*k].echoes_mm().next().is_some();
+        let left_out =
+            (0..recording.frames.len()).filter(|&k| tree.frame_branch[k].is_none()).filter(has_echoes);
         Self {
             branches: tree.branches.iter().zip(sweeps).map(branch).collect(),
             dismissed: tree.dismissed.clone(),

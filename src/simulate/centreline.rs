@@ -82,7 +82,8 @@ impl Centreline {
         };
         // An endless length has endless steps, of which there are not a number.
         let steps = length / frame_step_mm;
-        let steps = if steps.is_nan() { MAX_FRAME_STEPS } else { steps.round().clamp(1.0, MAX_FRAME_STEPS) } as usize;
+        let steps =
+            if steps.is_nan() { MAX_FRAME_STEPS } else { steps.round().clamp(1.0, MAX_FRAME_STEPS) } as usize;
         let (points, tangents): (Vec<_>, Vec<_>) =
             (0..=steps).map(|i| line.at(i as f64 * line.frame_step_mm)).unzip();
         line.frames = rotation_minimising_frames(&points, &tangents);
