@@ -116,18 +116,25 @@ def test_live_grows_and_tells_what_changed(simulated):
     recording, truth = simulated
     live = lm.Live(sweep={"keep_unsupported": True})
     followed: list[np.ndarray] = []
-    for pose, contour, time in zip(recording.poses, recording.contours, recording.time):
-        change = live.push(pose, contour, time)
+
+    def follow(change: lm.Change) -> None:
         followed[:0] = [np.empty(0)] * change.before
         del followed[change.rings :]
-        followed += [np.empty(0)] * (change.rings - len(followed))
+        followed.extend([np.empty(0)] * (change.rings - len(followed)))
         for first, end in change.changed:
             part = live.part(first, end).vertices.reshape(end - first, live.nodes, 3)
             followed[first:end] = list(part)
+
+    for pose, contour, time in zip(recording.poses, recording.contours, recording.time):
+        change = live.push(pose, contour, time)
+        follow(change)
     times = change.times
     parts = [times.screening_s, times.axis_s, times.placing_s, times.solving_s]
     assert min(parts) >= 0 and 0 < sum(parts) <= times.total_s
-    assert change.frame == len(recording) - 1 and live.flush().left_out == []
+    assert change.frame == len(recording) - 1
+    flushed = live.flush()
+    assert flushed.left_out == []
+    follow(flushed)
     # Rings that did not change keep the noise of their time, which the radii are corrected for.
     assert np.allclose(np.concatenate(followed), live.surface().vertices, atol=0.02)
     assert lm.evaluate(live.surface(), truth)["mesh_to_truth"]["median_mm"] < 0.3

@@ -41,11 +41,17 @@ const MAX_NODES: usize = 4_000_000;
 const ROUNDS: usize = 6;
 
 impl VesselTree {
-    /// The axis of a lumen: that of a sweep, or the one found from the surface.
+    /// The axes of a lumen: those of the sweeps of its branches, of its one sweep, or those found from the surface.
     ///
     /// # Errors
     /// As [`VesselTree::of`].
     pub fn of_lumen(lumen: &Lumen, surface: &Surface) -> Result<Self> {
+        if let Some(branched) = lumen.branches() {
+            let axes = branched.sweeps.iter().map(VesselAxis::of_sweep).collect::<Result<Vec<_>>>()?;
+            let branch = surface.array("branch").unwrap_or_default();
+            let node_branch = (0..surface.nodes_mm.len()).map(|n| branch.get(n).map_or(0, |b| *b as u32));
+            return Ok(Self { axes, node_branch: node_branch.collect() });
+        }
         match lumen.sweep() {
             Some(sweep) => Ok(Self::with_axes(vec![VesselAxis::of_sweep(sweep)?], surface.nodes_mm.len())),
             None => Self::of(surface),
