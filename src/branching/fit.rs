@@ -10,6 +10,7 @@ use crate::Result;
 use crate::numerics::robust::{median, tukey_weight};
 use crate::surface::crossing::crossings;
 use crate::surface::{Locator, Surface};
+use crate::sweep::{MAX_ERROR_MEDIANS, MAX_ERROR_RADII, MAX_OFF_WALL, outward_bias_mm};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -30,12 +31,6 @@ const MAX_EDGES: f64 = 1.5;
 const UNTANGLING: usize = 24;
 const HALVINGS: usize = 4;
 const RINGS_ABOUT: usize = 2;
-/// Largest share of the echoes about a supported node that may lie off the wall, as in the sweep.
-const MAX_OFF_WALL: f64 = 0.5;
-/// Largest standard error of a supported node: in medians, or as a share of the radius, as in the sweep.
-const MAX_ERROR_MEDIANS: f64 = 2.0;
-const MAX_ERROR_RADII: f64 = 0.01;
-
 /// What is known of a tube's fit.
 pub(super) struct TubeFit<'a> {
     /// Standard deviation of an echo about the wall, mm, and the part of it along the wall.
@@ -148,7 +143,7 @@ impl Part {
             };
             let radius = tubes[tube].radius_mm(ring, theta_rad);
             radius_mm.push(radius);
-            bias_mm.push(crate::sweep::outward_bias_mm(radius, fits[tube].tangential_noise_mm));
+            bias_mm.push(outward_bias_mm(radius, fits[tube].tangential_noise_mm));
             members.push(tube);
         }
         members.sort_unstable();

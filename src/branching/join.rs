@@ -45,6 +45,8 @@ pub(super) struct Joined {
     pub origin: Vec<Origin>,
     /// Of each node: the place where tubes meet that it belongs to, counted from 0; `None` on a grid.
     pub parting: Vec<Option<usize>>,
+    /// Rings of grids to which no rim of the union was found to sew: the surface is open there.
+    pub unsewn: usize,
 }
 
 /// Rings of a tube that give way to the union.
@@ -57,7 +59,7 @@ struct Zone {
     meets: Vec<(usize, usize)>,
 }
 
-/// Joins tubes. `joined` says which tube the first and the last ring of each lie in.
+/// Joins tubes. `inner_ends` says which tubes the first and the last ring of each lie in; `None` at an end of the vessel.
 pub(super) fn joined(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) -> Result<Joined> {
     trim(tubes, inner_ends);
     let tubes = &*tubes;
@@ -193,6 +195,7 @@ fn partings(zones: &[Zone]) -> Vec<Vec<usize>> {
 struct Patch {
     surface: Surface,
     origin: Vec<(usize, Spot)>,
+    unsewn: usize,
 }
 
 /// A ring of a grid that a patch is sewn to.
@@ -204,6 +207,7 @@ struct Seam {
     below: bool,
 }
 
+/// The union's surface about the zones of one parting.
 fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
     let mut members: Vec<usize> = zones.iter().map(|zone| zone.tube).collect();
     members.sort_unstable();
@@ -260,16 +264,8 @@ fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
         });
         inside.fold(-1.0, f64::max)
     };
-    let spot_of = |p: &DVec3| nearest(*p);
-    let spots: Vec<Option<(usize, Spot)>> = whole.nodes_mm.par_iter().map(spot_of).collect();
-    let inside: Vec<f64> = spots.iter().map(|spot| spot.map_or(-1.0, within)).collect();
+    let inside: Vec<f64> = whole.nodes_mm.par_iter().map(|p| nearest(*p).map_or(-1.0, within)).collect();
     let mut surface = largest_part(&clipped(&whole, &inside));
-
-    let mut origin: Vec<(usize, Spot)> = Vec::with_capacity(surface.nodes_mm.len());
-    for p in &surface.nodes_mm {
-        let spot = Spot { ring: 0.0, theta_rad: 0.0, outside_mm: 0.0 };
-        origin.push(nearest(*p).unwrap_or((members[0], spot)));
-    }
     let mut seams: Vec<Seam> = Vec::new();
     for zone in zones {
         let rings = &tubes[zone.tube].rings;
@@ -282,20 +278,24 @@ fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
     }
     let mut fixed = Vec::new();
     let mut rims = rims(&surface);
+    let mut unsewn = 0;
     for seam in seams {
+        let edge = if seam.below { seam.ring as f64 - 0.5 } else { seam.ring as f64 + 0.5 };
         let at = |node: u32| {
-            let (tube, spot) = origin[node as usize];
-            let edge = if seam.below { seam.ring as f64 - 0.5 } else { seam.ring as f64 + 0.5 };
-            tube == seam.tube && (spot.ring - edge).abs() < 0.25
+            let spot = nearest(surface.nodes_mm[node as usize]);
+            spot.is_some_and(|(tube, spot)| tube == seam.tube && (spot.ring - edge).abs() < 0.25)
         };
         let is_of_seam = |rim: &Vec<u32>| 2 * rim.iter().filter(|&&n| at(n)).count() > rim.len();
-        let Some(which) = rims.iter().position(is_of_seam) else { continue };
+        let Some(which) = rims.iter().position(is_of_seam) else {
+            unsewn += 1;
+            continue;
+        };
         let rim = rims.swap_remove(which);
         let theta: Vec<f64> = rim
             .iter()
             .map(|&n| tubes[seam.tube].spot(surface.nodes_mm[n as usize]).map_or(0.0, |spot| spot.theta_rad))
             .collect();
-        fixed.extend(sew(&mut surface, &mut origin, &tubes[seam.tube], seam, &rim, &theta));
+        fixed.extend(sew(&mut surface, &tubes[seam.tube], seam, &rim, &theta));
     }
     let triangles = surface.triangles.len();
     let patches = Patches {
@@ -308,7 +308,7 @@ fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
     let even = remeshed(&patches, &wanted, ROUNDS)?.surface();
     let fallback = (members[0], Spot { ring: 0.0, theta_rad: 0.0, outside_mm: 0.0 });
     let origin = even.nodes_mm.par_iter().map(|p| nearest(*p).unwrap_or(fallback)).collect();
-    Ok(Patch { surface: even, origin })
+    Ok(Patch { surface: even, origin, unsewn })
 }
 
 /// Edge of a cell of the lattice, mm: nearly that of the coarsest grid, but not too long for the smallest lumen. Remeshing
@@ -411,20 +411,9 @@ fn rims(surface: &Surface) -> Vec<Vec<u32>> {
 }
 
 /// Adds the nodes of a ring and the triangles between it and a rim; gives the ring's nodes.
-fn sew(
-    surface: &mut Surface,
-    origin: &mut Vec<(usize, Spot)>,
-    tube: &Tube,
-    seam: Seam,
-    rim: &[u32],
-    theta_rad: &[f64],
-) -> Vec<u32> {
+fn sew(surface: &mut Surface, tube: &Tube, seam: Seam, rim: &[u32], theta_rad: &[f64]) -> Vec<u32> {
     let first = surface.nodes_mm.len() as u32;
-    for j in 0..tube.nodes {
-        surface.nodes_mm.push(tube.node_mm(seam.ring, j));
-        let theta_rad = TAU * j as f64 / tube.nodes as f64;
-        origin.push((seam.tube, Spot { ring: seam.ring as f64, theta_rad, outside_mm: 0.0 }));
-    }
+    surface.nodes_mm.extend((0..tube.nodes).map(|j| tube.node_mm(seam.ring, j)));
     // The rim in ascending angle, unwrapped from its lowest.
     let turn = |a: f64, b: f64| (b - a + PI).rem_euclid(TAU) - PI;
     let count = rim.len();
@@ -460,7 +449,12 @@ fn sew(
 
 /// The rings that stay, and the patches.
 fn assembled(tubes: &[Tube], zones: &[Zone], patches: Vec<Patch>) -> Joined {
-    let mut joined = Joined { surface: Surface::default(), origin: Vec::new(), parting: Vec::new() };
+    let mut joined = Joined {
+        surface: Surface::default(),
+        origin: Vec::new(),
+        parting: Vec::new(),
+        unsewn: patches.iter().map(|patch| patch.unsewn).sum(),
+    };
     let mut at_place: HashMap<[u64; 3], u32> = HashMap::new();
     let place = |p: DVec3| p.to_array().map(f64::to_bits);
     for (number, tube) in tubes.iter().enumerate() {

@@ -83,9 +83,10 @@ impl BranchedSweep {
         let start = Instant::now();
         let fits: Vec<TubeFit> = sweeps.iter().map(tube_fit).collect();
         let support = fit::fit(&mut joined, &tubes, &fits, &world_echoes(recording, &tree, settings))?;
+        let unsewn = joined.unsewn;
         let whole = with_arrays(joined, &sweeps, &support);
         let seconds = BranchesTimings { tree: tree_s, join: join_s, fit: start.elapsed().as_secs_f64() };
-        let report = BranchesReport::of(recording, &tree, &sweeps, &whole, seconds);
+        let report = BranchesReport::of(recording, &tree, &sweeps, &whole, unsewn, seconds);
         Ok(Some(Self { tree, sweeps, report, whole }))
     }
 
@@ -93,14 +94,16 @@ impl BranchedSweep {
     /// and parts of less than 1 % of the triangles that this cuts off, unless `keep_unsupported`. Arrays as those of [`Sweep::surface`], and `branch`: the place in [`BranchTree::branches`].
     /// Away from partings the nodes are those of the branches' own grids.
     pub fn surface(&self, keep_unsupported: bool) -> Surface {
-        let mut surface = self.whole.clone();
-        if !keep_unsupported {
-            let supported = self.whole.array("supported").unwrap_or_default();
-            surface.triangles.retain(|t| t.iter().all(|&n| supported[n as usize] > 0.5));
-            surface = surface.without_small_parts(LEAST_PART).without_loose_nodes();
-        }
-        surface
+        if keep_unsupported { self.whole.clone() } else { supported_part(&self.whole) }
     }
+}
+
+/// The supported nodes of a joined surface, but small parts of them.
+fn supported_part(whole: &Surface) -> Surface {
+    let supported = whole.array("supported").unwrap_or_default();
+    let mut part = whole.clone();
+    part.triangles.retain(|t| t.iter().all(|&n| supported[n as usize] > 0.5));
+    part.without_small_parts(LEAST_PART).without_loose_nodes()
 }
 
 /// The sweeps of all branches, or the number of one that has none and why.

@@ -24,6 +24,8 @@ pub struct BranchesReport {
     pub nodes: usize,
     /// Supported nodes.
     pub supported: usize,
+    /// Rings of the branches' grids that could not be sewn to the surface of a parting: it is open there.
+    pub unsewn: usize,
     /// How the triangles with supported nodes are connected.
     pub topology: Topology,
     /// Time of each stage; those of a branch's sweep are in its own report.
@@ -62,6 +64,7 @@ impl BranchesReport {
         tree: &BranchTree,
         sweeps: &[Sweep],
         whole: &Surface,
+        unsewn: usize,
         seconds: BranchesTimings,
     ) -> Self {
         let branch = |(branch, sweep): (&super::BranchPath, &Sweep)| {
@@ -81,10 +84,6 @@ impl BranchesReport {
             }
         };
         let supported = whole.array("supported").unwrap_or_default();
-        let is_supported = |n: u32| supported[n as usize] > 0.5;
-        let kept = whole.triangles.iter().filter(|t| t.iter().all(|&n| is_supported(n))).copied().collect();
-        let surface = Surface { nodes_mm: whole.nodes_mm.clone(), triangles: kept, arrays: Vec::new() };
-        let surface = surface.without_small_parts(super::LEAST_PART);
         // Screening has emptied the contours that it left out.
         let has_echoes = |k: &usize| recording.frames[*k].echoes_mm().next().is_some();
         let left_out =
@@ -95,8 +94,9 @@ impl BranchesReport {
             frames: recording.frames.len(),
             frames_left_out: left_out.map(|k| recording.number(k)).collect(),
             nodes: whole.nodes_mm.len(),
-            supported: (0..whole.nodes_mm.len() as u32).filter(|&n| is_supported(n)).count(),
-            topology: surface.topology(),
+            supported: supported.iter().filter(|&&is| is > 0.5).count(),
+            unsewn,
+            topology: super::supported_part(whole).topology(),
             seconds,
         }
     }

@@ -282,6 +282,9 @@ fn print_branches(report: &BranchesReport) {
         if report.topology.components == 1 { "" } else { "s" },
         report.topology.boundary_loops
     );
+    if report.unsewn > 0 {
+        println!("           open at {} rings near partings, which could not be joined", report.unsewn);
+    }
     let seconds = report.seconds;
     println!(
         "time       {:.1} ms finding the branches, {:.1} ms sweeping them, {:.1} ms joining, {:.1} ms fitting where they meet",

@@ -412,7 +412,7 @@ fn check_sweep(settings: &Settings) -> Result<()> {
 /// Where a live sweep with these settings is computed: always on the CPU, and why so where that was not asked for.
 fn sweep_engine(settings: &Settings) -> EngineDescription {
     let of_name = |name: &str| EngineDescription { name: name.into(), ..EngineDescription::default() };
-    let why = "a frame of a live sweep solves for some 50 rings, which takes less time than a device needs to answer";
+    let why = "a frame of a live sweep solves for some 40 rings, which takes less time than a device needs to answer";
     match settings.backend {
         Backend::Cpu => of_name("cpu"),
         Backend::Reference => of_name("reference"),

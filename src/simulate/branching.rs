@@ -1,6 +1,5 @@
 //! Walls of vessels that branch: the union of round tubes, with fillets where they meet.
 
-use super::vessel::drop_unused_nodes;
 use crate::surface::Surface;
 use crate::surface::marching::Lattice;
 use crate::{Error, Result};
@@ -144,7 +143,7 @@ pub(super) fn open(surface: &mut Surface, end: &End, edge_mm: f64) {
         }
     }
     surface.triangles = kept;
-    drop_unused_nodes(surface);
+    *surface = std::mem::take(surface).without_loose_nodes();
 }
 
 #[cfg(test)]

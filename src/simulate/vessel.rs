@@ -234,29 +234,7 @@ fn orient(surface: &mut Surface, notes: &mut Vec<String>) {
     }
     surface.triangles = kept;
     if sizes.len() > 1 {
-        drop_unused_nodes(surface);
-    }
-}
-
-/// Drops the nodes that no triangle uses.
-pub(super) fn drop_unused_nodes(surface: &mut Surface) {
-    let mut used = vec![false; surface.nodes_mm.len()];
-    surface.triangles.iter().flatten().for_each(|&n| used[n as usize] = true);
-    let mut next = 0;
-    let renumbered: Vec<u32> = used
-        .iter()
-        .map(|&used| {
-            let number = next;
-            next += u32::from(used);
-            number
-        })
-        .collect();
-    surface.triangles.iter_mut().flatten().for_each(|n| *n = renumbered[*n as usize]);
-    let mut kept = used.iter();
-    surface.nodes_mm.retain(|_| kept.next().is_some_and(|&used| used));
-    for array in &mut surface.arrays {
-        let mut kept = used.iter();
-        array.values.retain(|_| kept.next().is_some_and(|&used| used));
+        *surface = std::mem::take(surface).without_loose_nodes();
     }
 }
 

@@ -22,6 +22,7 @@ pub(crate) use prepare::contour::Outline;
 pub(crate) use prepare::noise::outward_bias_mm;
 pub use report::{SweepReport, SweepTimings};
 pub use support::Support;
+pub(crate) use support::{MAX_ERROR_MEDIANS, MAX_ERROR_RADII, MAX_OFF_WALL};
 pub use tracker::Tracker;
 #[cfg(feature = "gpu")]
 pub use wall::gpu::GpuWallEngine;

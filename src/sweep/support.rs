@@ -32,11 +32,11 @@ pub struct Support {
 }
 
 /// Largest standard error of a supported node, in lumen radii …
-const MAX_ERROR_RADII: f64 = 0.01;
+pub(crate) const MAX_ERROR_RADII: f64 = 0.01;
 /// … or, where that is more, in medians: noise must not cut away most of a vessel.
-const MAX_ERROR_MEDIANS: f64 = 2.0;
+pub(crate) const MAX_ERROR_MEDIANS: f64 = 2.0;
 /// Largest share of the echoes about a node that may lie off the wall: with more it is the mouth of a branch.
-const MAX_OFF_WALL: f64 = 0.5;
+pub(crate) const MAX_OFF_WALL: f64 = 0.5;
 /// Largest radius of a supported node, in distances of the farthest echo from the axis.
 const MAX_REACH_RADII: f64 = 1.5;
 /// Largest distance of echoes that count as being about a node, as a share of the circumference.

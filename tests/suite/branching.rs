@@ -252,7 +252,7 @@ fn the_command_names_the_branches() {
 }
 
 #[test]
-fn a_report_of_branches_is_one_of_a_kind() {
+fn every_frame_belongs_to_one_branch_or_is_left_out() {
     let simulation = visiting("bifurcation", &[0, 1], Insertion::steady());
     let lumen = swept(&simulation.recording, Branches::Auto);
     let LumenReport::Branches(report) = lumen.report() else { panic!("not of branches") };
@@ -260,4 +260,5 @@ fn a_report_of_branches_is_one_of_a_kind() {
     let left_out = report.frames_left_out.len() + lumen.screening().left_out.len();
     assert_eq!(frames + left_out, simulation.recording.frames.len());
     assert!(lumen.sweep().is_none() && lumen.cylinders().is_none());
+    assert_eq!(report.unsewn, 0);
 }
