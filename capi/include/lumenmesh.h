@@ -258,6 +258,15 @@ LumenmeshStatus lumenmesh_live_left_out(const struct LumenmeshLive *live,
                                         size_t *length);
 
 /**
+ * Where frames are computed, and why there, as a JSON object; "null" before the first cylinder. `length` receives the size of
+ * the text with its zero; `buffer` may be null to ask for that alone.
+ */
+LumenmeshStatus lumenmesh_live_engine(const struct LumenmeshLive *live,
+                                      char *buffer,
+                                      size_t capacity,
+                                      size_t *length);
+
+/**
  * The vessel so far; a mesh without vertices as long as it has not begun.
  */
 LumenmeshStatus lumenmesh_live_surface(const struct LumenmeshLive *live, struct LumenmeshMesh **mesh);

@@ -291,6 +291,12 @@ public:
             return lumenmesh_live_left_out(handle_.get(), to, size, length);
         });
     }
+    // Where frames are computed, and why there, as a JSON object; "null" before the first cylinder.
+    std::string engine() const {
+        return detail::text([this](char *to, std::size_t size, std::size_t *length) {
+            return lumenmesh_live_engine(handle_.get(), to, size, length);
+        });
+    }
     Mesh surface() const {
         Mesh mesh;
         detail::check(lumenmesh_live_surface(handle_.get(), mesh.handle_.out()));

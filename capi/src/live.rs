@@ -248,6 +248,23 @@ pub unsafe extern "C" fn lumenmesh_live_left_out(
     })
 }
 
+/// Where frames are computed, and why there, as a JSON object; "null" before the first cylinder. `length` receives the size of
+/// the text with its zero; `buffer` may be null to ask for that alone.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn lumenmesh_live_engine(
+    live: *const LumenmeshLive,
+    buffer: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> LumenmeshStatus {
+    border(|| {
+        let state = LIVES.get(live)?;
+        let json = serde_json::to_string(&locked(&state)?.live.engine())
+            .map_err(|e| Failure::argument(format!("engine: {e}")))?;
+        unsafe { copy_text("engine", &json, buffer, capacity, length) }
+    })
+}
+
 /// The vessel so far; a mesh without vertices as long as it has not begun.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn lumenmesh_live_surface(

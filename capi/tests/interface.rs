@@ -270,6 +270,12 @@ if (!strstr(text, "right-handed")) return 8;
 free(text);
 identity[0] = NAN;
 OK(lumenmesh_live_push(live, identity, 0, NULL, NAN, &change));
+OK(lumenmesh_live_engine(live, NULL, 0, &length));
+text = malloc(length);
+SAYS(lumenmesh_live_engine(live, text, length - 1, NULL), LUMENMESH_STATUS_BUFFER_TOO_SMALL, "engine: found a buffer for ");
+OK(lumenmesh_live_engine(live, text, length, NULL));
+if (!strstr(text, "\"name\":\"cpu\"")) return 10;
+free(text);
 
 /* Snapshots, and the batch result of frames that were kept. */
 LumenmeshLive *again = NULL;

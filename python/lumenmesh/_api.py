@@ -290,8 +290,8 @@ def _change(values: native._Change) -> Change:
 class Live:
     """A vessel that grows frame by frame, in bounded time. Settings as for `reconstruct`.
 
-    Any thread may use it, one at a time; while it computes, other Python threads run. keep_frames: for `finish`; otherwise
-    memory grows with the vessel's length only.
+    Any thread may use it; calls from several wait for each other. While it computes, other Python threads run.
+    keep_frames: for `finish`; otherwise memory grows with the vessel's length only.
     """
 
     __slots__ = ("_native",)
@@ -349,6 +349,12 @@ class Live:
     def nodes(self) -> int:
         """Nodes of each ring; 0 as long as there is none."""
         return self._native.nodes()
+
+    @property
+    def engine(self) -> dict[str, str] | None:
+        """Where frames are computed: `name`, `adapter` of a device, and `why`. None before the first cylinder."""
+        said: dict[str, str] | None = json.loads(self._native.engine())
+        return said
 
     def __len__(self) -> int:
         return self._native.frames()

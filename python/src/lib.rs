@@ -21,7 +21,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError, mpsc};
+use std::time::Duration;
 
 create_exception!(
     lumenmesh,
@@ -225,6 +227,9 @@ impl NativeMesh {
     }
 }
 
+/// How often a reconstruction lets Python look for signals, such as that of Ctrl-C.
+const LOOK_FOR_SIGNALS: Duration = Duration::from_millis(50);
+
 /// The lumen's mesh, and the report as JSON.
 #[pyfunction]
 fn reconstruct(
@@ -234,21 +239,43 @@ fn reconstruct(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(NativeMesh, String)> {
     let settings = settings_of(&settings)?;
-    // What the callback raised first; the work ends with it.
+    // What was raised first, by the callback or by a signal; the work ends with it.
     let raised: Mutex<Option<PyErr>> = Mutex::new(None);
-    let tell = |Progress { stage, done, total, .. }: Progress| {
-        let Some(progress) = &progress else { return ControlFlow::Continue(()) };
-        let mut raised = raised.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let ask = |question: &dyn Fn(Python<'_>) -> PyResult<()>| {
+        let mut raised = raised.lock().unwrap_or_else(PoisonError::into_inner);
         if raised.is_none() {
-            *raised = Python::attach(|py| progress.call1(py, (stage, done, total))).err();
+            *raised = Python::attach(question).err();
         }
         if raised.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
-    let lumen = py.detach(|| Reconstructor::new(settings).on_progress(tell).run(&recording.0));
-    if let Some(raised) = raised.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner) {
+    let interrupted = AtomicBool::new(false);
+    let tell = |Progress { stage, done, total, .. }: Progress| match &progress {
+        _ if interrupted.load(Ordering::Relaxed) => ControlFlow::Break(()),
+        Some(progress) => ask(&|py| progress.call1(py, (stage, done, total)).map(drop)),
+        None => ControlFlow::Continue(()),
+    };
+    // Python hears of Ctrl-C on its main thread only, which the work would keep busy.
+    let lumen = py.detach(|| {
+        std::thread::scope(|threads| {
+            let (give, take) = mpsc::channel();
+            threads.spawn(move || give.send(Reconstructor::new(settings).on_progress(tell).run(&recording.0)));
+            loop {
+                match take.recv_timeout(LOOK_FOR_SIGNALS) {
+                    Err(mpsc::RecvTimeoutError::Timeout) => {
+                        let stop = ask(&|py| py.check_signals()).is_break();
+                        interrupted.fetch_or(stop, Ordering::Relaxed);
+                    }
+                    Ok(lumen) => return Some(lumen),
+                    // It panicked: the scope passes that on.
+                    Err(mpsc::RecvTimeoutError::Disconnected) => return None,
+                }
+            }
+        })
+    });
+    if let Some(raised) = raised.into_inner().unwrap_or_else(PoisonError::into_inner) {
         return Err(raised);
     }
-    py.check_signals()?;
+    let lumen = lumen.ok_or_else(|| Error::new_err("reconstruct: failed within lumenmesh"))?;
     lumen_parts(py, &lumen.map_err(error)?)
 }
 
@@ -303,9 +330,17 @@ fn change_tuple(change: CoreChange) -> PyResult<ChangeTuple> {
     ))
 }
 
-/// A vessel that grows frame by frame.
-#[pyclass(module = "lumenmesh._lumenmesh")]
-struct NativeLive(CoreLive);
+/// A vessel that grows frame by frame. Calls from several threads wait for each other.
+#[pyclass(frozen, module = "lumenmesh._lumenmesh")]
+struct NativeLive(Mutex<CoreLive>);
+
+impl NativeLive {
+    /// What `work` makes of the vessel; other Python threads run meanwhile.
+    fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut CoreLive) -> T + Send) -> PyResult<T> {
+        py.detach(|| self.0.lock().map(|mut live| work(&mut live)).map_err(|_| ()))
+            .map_err(|()| Error::new_err("live: an earlier call failed within lumenmesh; begin a new one"))
+    }
+}
 
 #[pymethods]
 impl NativeLive {
@@ -315,24 +350,24 @@ impl NativeLive {
         if keep_frames {
             live.keep_frames().map_err(error)?;
         }
-        Ok(Self(live))
+        Ok(Self(Mutex::new(live)))
     }
 
     #[staticmethod]
     fn restore(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        py.detach(|| CoreLive::restore(&path)).map(Self).map_err(error)
+        py.detach(|| CoreLive::restore(&path)).map(|live| Self(Mutex::new(live))).map_err(error)
     }
 
     fn snapshot(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        py.detach(|| self.0.snapshot(&path)).map_err(error)
+        self.with(py, |live| live.snapshot(&path))?.map_err(error)
     }
 
     fn finish(&self, py: Python<'_>) -> PyResult<(NativeMesh, String)> {
-        lumen_parts(py, &py.detach(|| self.0.finish()).map_err(error)?)
+        lumen_parts(py, &self.with(py, |live| live.finish())?.map_err(error)?)
     }
 
     fn push(
-        &mut self,
+        &self,
         py: Python<'_>,
         pose: PyReadonlyArray2<'_, f64>,
         points: PyReadonlyArray2<'_, f64>,
@@ -340,35 +375,40 @@ impl NativeLive {
     ) -> PyResult<ChangeTuple> {
         let frame = Frame::from_matrix(&matrix(pose.as_slice()?), contour(&points)?).map_err(error)?;
         let frame = frame.with_time_s(time.filter(|t| !t.is_nan()));
-        change_tuple(py.detach(|| self.0.push(&frame)).map_err(error)?)
+        change_tuple(self.with(py, |live| live.push(&frame))?.map_err(error)?)
     }
 
-    fn flush(&mut self, py: Python<'_>) -> PyResult<ChangeTuple> {
-        change_tuple(py.detach(|| self.0.flush()).map_err(error)?)
+    fn flush(&self, py: Python<'_>) -> PyResult<ChangeTuple> {
+        change_tuple(self.with(py, CoreLive::flush)?.map_err(error)?)
     }
 
-    fn reset(&mut self) {
-        self.0.reset();
+    fn reset(&self, py: Python<'_>) -> PyResult<()> {
+        self.with(py, CoreLive::reset)
     }
 
-    fn frames(&self) -> usize {
-        self.0.frames()
+    fn frames(&self, py: Python<'_>) -> PyResult<usize> {
+        self.with(py, |live| live.frames())
     }
 
-    fn rings(&self) -> usize {
-        self.0.rings()
+    fn rings(&self, py: Python<'_>) -> PyResult<usize> {
+        self.with(py, |live| live.rings())
     }
 
-    fn nodes(&self) -> usize {
-        self.0.nodes()
+    fn nodes(&self, py: Python<'_>) -> PyResult<usize> {
+        self.with(py, |live| live.nodes())
     }
 
-    fn surface(&self, py: Python<'_>) -> NativeMesh {
-        NativeMesh(py.detach(|| self.0.surface()))
+    /// As JSON.
+    fn engine(&self, py: Python<'_>) -> PyResult<String> {
+        json(self.with(py, |live| live.engine())?)
     }
 
-    fn part(&self, py: Python<'_>, first: usize, end: usize) -> NativeMesh {
-        NativeMesh(py.detach(|| self.0.part(first..end)))
+    fn surface(&self, py: Python<'_>) -> PyResult<NativeMesh> {
+        self.with(py, |live| NativeMesh(live.surface()))
+    }
+
+    fn part(&self, py: Python<'_>, first: usize, end: usize) -> PyResult<NativeMesh> {
+        self.with(py, |live| NativeMesh(live.part(first..end)))
     }
 }
 

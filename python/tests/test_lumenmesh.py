@@ -1,9 +1,12 @@
 """The installed wheel, as a user has it."""
 
+import os
 import pickle
+import signal
 import subprocess
 import sys
 import threading
+import time
 
 import lumenmesh as lm
 import numpy as np
@@ -140,6 +143,7 @@ def test_live_grows_and_tells_what_changed(simulated):
     assert lm.evaluate(live.surface(), truth)["mesh_to_truth"]["median_mm"] < 0.3
     with pytest.raises(lm.Error, match="pose: found shape"):
         live.push(np.eye(3), recording.contours[0])
+    assert live.engine["name"] == "cpu"
     live.reset()
     assert len(live) == 0 and live.rings == 0 and "0 frames" in repr(live)
 
@@ -178,6 +182,37 @@ def test_what_the_callback_raises_is_raised(simulated):
         with pytest.raises(KeyboardInterrupt):
             lm.reconstruct(simulated[0], progress=stop, method=method, backend="cpu")
         assert len(steps) == 1
+
+
+def test_ctrl_c_ends_a_computation(simulated):
+    stages: list[str] = []
+
+    def follow(stage, done, total):
+        stages.append(stage)
+        os.kill(os.getpid(), signal.SIGINT)
+        # Longer than signals wait at most.
+        time.sleep(0.3)
+
+    with pytest.raises(KeyboardInterrupt):
+        lm.reconstruct(simulated[0], progress=follow, backend="cpu")
+    assert stages == ["finding the axis"]
+
+
+def test_threads_take_turns_with_a_live_vessel(simulated):
+    frames = list(zip(simulated[0].poses, simulated[0].contours))
+    live = lm.Live(sweep={"keep_unsupported": True}, method="cylinders")
+
+    def push():
+        for frame in frames[:60]:
+            live.push(*frame)
+
+    threads = [threading.Thread(target=push) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    seen = [len(live.surface().vertices) for _ in range(50)]
+    for thread in threads:
+        thread.join()
+    assert len(live) == 180 and seen == sorted(seen)
 
 
 def test_other_threads_run_meanwhile(simulated):

@@ -14,7 +14,7 @@ use std::ops::Range;
 use std::time::Instant;
 
 /// Newest frames that are kept within [`REST_MM`] of a frame's centre; older ones are dropped.
-pub(crate) const MAX_FRAMES_AT_REST: usize = 400;
+pub(crate) const MAX_FRAMES_AT_REST: usize = 320;
 /// Radius of such a place, mm.
 pub(crate) const REST_MM: f64 = 2.0;
 

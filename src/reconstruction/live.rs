@@ -68,6 +68,38 @@ impl Vessel {
         })
     }
 
+    /// Takes frames that are judged, after the last one also what a sweep has put off.
+    fn take(
+        &mut self,
+        frames: Vec<(usize, Option<Frame>)>,
+        is_last: bool,
+        change: &mut Change,
+    ) -> Result<()> {
+        for (number, frame) in frames {
+            match self {
+                Self::Cylinders(cylinders) => match cylinders.push(frame.as_ref()) {
+                    Ok(step) => {
+                        let work = Work { echoes: step.echoes, rings: step.rings };
+                        change.add(0, step.changed, false, work);
+                        change.times.placing_s += step.placing_s;
+                        change.times.solving_s += step.solving_s;
+                    }
+                    Err(error) => change.left_out.push(LeftOut::because(error, Reason::NoCylinder)?),
+                },
+                Self::Sweep(sweep) => {
+                    let Some(frame) = &frame else { continue };
+                    change.add_step(sweep.push(number, frame)?);
+                }
+            }
+        }
+        if let Self::Sweep(sweep) = self
+            && is_last
+        {
+            change.add_step(sweep.flush()?);
+        }
+        Ok(())
+    }
+
     /// Forgets all frames; the engine stays.
     fn reset(&mut self) {
         match self {
@@ -299,28 +331,8 @@ impl Live {
         if restart {
             self.vessel.reset();
         }
-        for (number, frame) in frames {
-            match &mut self.vessel {
-                Vessel::Cylinders(cylinders) => match cylinders.push(frame.as_ref()) {
-                    Ok(step) => {
-                        let work = Work { echoes: step.echoes, rings: step.rings };
-                        change.add(0, step.changed, false, work);
-                        change.times.placing_s += step.placing_s;
-                        change.times.solving_s += step.solving_s;
-                    }
-                    Err(error) => change.left_out.push(LeftOut::because(error, Reason::NoCylinder)?),
-                },
-                Vessel::Sweep(sweep) => {
-                    let Some(frame) = &frame else { continue };
-                    change.add_step(sweep.push(number, frame)?);
-                }
-            }
-        }
-        if let Vessel::Sweep(sweep) = &mut self.vessel
-            && is_last
-        {
-            change.add_step(sweep.flush()?);
-        }
+        // A frame has many short tasks, and each that a thread of the host's hands out costs two switches of threads.
+        rayon::scope(|_| self.vessel.take(frames, is_last, &mut change))?;
         if restart {
             change.before = 0;
             change.changed = std::iter::once(0..self.rings()).collect();
