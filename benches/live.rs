@@ -45,7 +45,8 @@ fn pushed_once(frames: &[Frame], settings: &Settings) -> (Live, Vec<[f64; 7]>) {
         let (wall, cpu) = (Instant::now(), ProcessTime::now());
         let stages = live.push(frame).unwrap().times;
         let (wall, cpu) = (wall.elapsed().as_secs_f64(), cpu.elapsed().as_secs_f64());
-        [wall, cpu, wall, stages.screening_s, stages.axis_s, stages.placing_s, stages.solving_s].map(|s| s * 1e3)
+        [wall, cpu, wall, stages.screening_s, stages.axis_s, stages.placing_s, stages.solving_s]
+            .map(|s| s * 1e3)
     });
     let times = times.collect();
     live.flush().unwrap();
