@@ -241,18 +241,24 @@ fn reconstruct(
     let settings = settings_of(&settings)?;
     // What was raised first, by the callback or by a signal; the work ends with it.
     let raised: Mutex<Option<PyErr>> = Mutex::new(None);
-    let ask = |question: &dyn Fn(Python<'_>) -> PyResult<()>| {
-        let mut raised = raised.lock().unwrap_or_else(PoisonError::into_inner);
-        if raised.is_none() {
-            *raised = Python::attach(question).err();
+    let stopped = AtomicBool::new(false);
+    let ask = |question: &dyn Fn(Python<'_>) -> PyResult<()>| match Python::attach(question) {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(error) => {
+            stopped.store(true, Ordering::Relaxed);
+            raised.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+            ControlFlow::Break(())
         }
-        if raised.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
-    let interrupted = AtomicBool::new(false);
-    let tell = |Progress { stage, done, total, .. }: Progress| match &progress {
-        _ if interrupted.load(Ordering::Relaxed) => ControlFlow::Break(()),
-        Some(progress) => ask(&|py| progress.call1(py, (stage, done, total)).map(drop)),
-        None => ControlFlow::Continue(()),
+    // Threads call back in turns, so that none does after one that raised.
+    let turn = Mutex::new(());
+    let tell = |Progress { stage, done, total, .. }: Progress| {
+        let _turn = turn.lock().unwrap_or_else(PoisonError::into_inner);
+        if stopped.load(Ordering::Relaxed) {
+            return ControlFlow::Break(());
+        }
+        let Some(progress) = &progress else { return ControlFlow::Continue(()) };
+        ask(&|py| progress.call1(py, (stage, done, total)).map(drop))
     };
     // Python hears of Ctrl-C on its main thread only, which the work would keep busy.
     let lumen = py.detach(|| {
@@ -263,8 +269,8 @@ fn reconstruct(
             loop {
                 match take.recv_timeout(LOOK_FOR_SIGNALS) {
                     Err(mpsc::RecvTimeoutError::Timeout) => {
-                        let stop = ask(&|py| py.check_signals()).is_break();
-                        interrupted.fetch_or(stop, Ordering::Relaxed);
+                        // What this finds, `tell` heeds.
+                        let _ = ask(&|py| py.check_signals());
                     }
                     Ok(lumen) => return Some(lumen),
                     // It panicked: the scope passes that on.

@@ -123,8 +123,8 @@ pub struct Change {
     pub changed: Vec<Range<usize>>,
     /// Rings of the vessel now. Fewer than before, less the new ones: the last were dropped.
     pub rings: usize,
-    /// Whether the frame lies too far from a swept vessel's axis. Its echoes wait until the axis reaches them; many such
-    /// frames mean another branch, or a vessel that was lost.
+    /// Whether the frame lies outside of a swept vessel's lumen. Its echoes wait until the axis reaches them, or until enough
+    /// such frames show another branch.
     pub off_axis: bool,
     /// Frames that were found unfit now, and why; a [`Screening`](crate::recording::Screening) says what for. Also frames of the
     /// published method whose cylinder was due and could not be fitted.
@@ -372,6 +372,16 @@ impl Live {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => cylinders.vessel().rings.len(),
             Vessel::Sweep(sweep) => sweep.rings(),
+        }
+    }
+
+    /// Number of branches that have a wall: the vessel that was seen first, and each that the catheter entered since. The array
+    /// `branch` of a swept vessel says which one a node belongs to; the rings of a branch follow those of the ones before,
+    /// and no triangles connect them.
+    pub fn branches(&self) -> usize {
+        match &self.vessel {
+            Vessel::Cylinders(_) => 1,
+            Vessel::Sweep(sweep) => sweep.branches(),
         }
     }
 

@@ -72,6 +72,21 @@ impl Surface {
         }
     }
 
+    /// Adds the nodes and triangles of another surface. Both must have the same arrays in the same order, or this one no nodes.
+    pub(crate) fn append(&mut self, other: Self) {
+        if self.nodes_mm.is_empty() {
+            *self = other;
+            return;
+        }
+        let first = self.nodes_mm.len() as u32;
+        self.nodes_mm.extend(other.nodes_mm);
+        self.triangles.extend(other.triangles.iter().map(|triangle| triangle.map(|node| node + first)));
+        for (array, more) in self.arrays.iter_mut().zip(other.arrays) {
+            debug_assert_eq!(array.name, more.name, "the same arrays");
+            array.values.extend(more.values);
+        }
+    }
+
     /// Reads a surface by its file's ending: `.vtp`, `.ply`, `.stl`, `.obj`, `.mat`, `.vtk` (legacy), `.vtu`. Numbers are
     /// taken as millimetres, and as given in [`Space::Ras`] unless the file names another space.
     ///

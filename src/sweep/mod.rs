@@ -161,6 +161,15 @@ impl Sweep {
     pub fn surface(&self, keep_unsupported: bool) -> Surface {
         let rings = 0..self.axis.rings();
         let radius_mm = |node: usize| self.radii_mm[node];
-        surface::surface(&self.axis, self.nodes, rings, &self.support, radius_mm, keep_unsupported)
+        let is_supported = |node: usize| self.support.supported[node];
+        surface::surface(
+            &self.axis,
+            self.nodes,
+            rings,
+            &self.support,
+            is_supported,
+            radius_mm,
+            keep_unsupported,
+        )
     }
 }

@@ -29,12 +29,14 @@ pub(super) fn surface(
     nodes: usize,
     rings: Range<usize>,
     support: &Support,
+    is_supported: impl Fn(usize) -> bool,
     radius_mm: impl Fn(usize) -> f64,
     keep_unsupported: bool,
 ) -> Surface {
     let first = rings.start * nodes;
+    let supported: Vec<bool> = (first..rings.end * nodes).map(is_supported).collect();
     let mut triangles: Vec<[u32; 3]> = triangles(nodes, rings.len())
-        .filter(|triangle| keep_unsupported || is_supported(triangle, first, support))
+        .filter(|triangle| keep_unsupported || triangle.iter().all(|&n| supported[n as usize]))
         .collect();
     let mut index = vec![if keep_unsupported { 0 } else { u32::MAX }; rings.len() * nodes];
     triangles.iter().flatten().for_each(|&n| index[n as usize] = 0);
@@ -46,7 +48,8 @@ pub(super) fn surface(
         |&n: &usize| axis.point_mm(n / nodes, TAU * (n % nodes) as f64 / nodes as f64, radius_mm(n));
     let mut surface =
         Surface { nodes_mm: kept.iter().map(position).collect(), triangles, arrays: Vec::new() };
-    let Support { echoes, residual_mm, standard_error_mm, error_reach_mm, last_frame, supported } = support;
+    let Support { echoes, residual_mm, standard_error_mm, error_reach_mm, last_frame, supported: _ } =
+        support;
     let mut array = |name, value: &dyn Fn(usize) -> f64| {
         surface.set_array(name, kept.iter().map(|&n| value(n)).collect());
     };
@@ -55,6 +58,6 @@ pub(super) fn surface(
     array("standard_error_mm", &|n| standard_error_mm[n]);
     array("error_reach_mm", &|n| error_reach_mm[n]);
     array("frame", &|n| last_frame[n].map_or(f64::NAN, f64::from));
-    array("supported", &|n| f64::from(u8::from(supported[n])));
+    array("supported", &|n| f64::from(u8::from(supported[n - first])));
     surface
 }

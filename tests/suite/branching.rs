@@ -1,6 +1,6 @@
 //! Vessels that branch: the branches that are found, and the one surface of them.
 
-use crate::support::vessel::{coverage, mean_error_mm, simulated};
+use crate::support::vessel::{bits, coverage, mean_error_mm, simulated};
 use crate::support::{lumenmesh, python_with};
 use lumenmesh::branching::BranchTree;
 use lumenmesh::evaluate::Locator;
@@ -13,14 +13,6 @@ use lumenmesh::simulate::{
     Insertion, Move, Noise, Phantom, Probe, Shape, Simulation, SimulationSettings, Visit,
 };
 use lumenmesh::surface::Surface;
-
-/// All of a surface; numbers that are none are equal.
-fn bits(surface: &Surface) -> impl PartialEq + use<> {
-    let nodes: Vec<[u64; 3]> = surface.nodes_mm.iter().map(|p| p.to_array().map(f64::to_bits)).collect();
-    let values = |of: &[f64]| of.iter().map(|v| v.to_bits()).collect::<Vec<u64>>();
-    let arrays: Vec<_> = surface.arrays.iter().map(|a| (a.name.clone(), values(&a.values))).collect();
-    (nodes, surface.triangles.clone(), arrays)
-}
 
 fn swept(recording: &Recording, branches: Branches) -> Lumen {
     let mut settings = Settings::default();

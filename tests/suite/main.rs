@@ -29,6 +29,7 @@ mod golden;
 mod import;
 mod layers;
 mod live;
+mod live_branches;
 #[cfg(all(feature = "cli", unix))]
 mod live_command;
 #[cfg(feature = "cli")]

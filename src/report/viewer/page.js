@@ -170,7 +170,7 @@ function quantities() {
   const order = [...KNOWN.keys()],
     place = (name) => (order.indexOf(name) + order.length + 1) % (order.length + 1);
   return [...vessel.arrays.keys()]
-    .filter((name) => name !== "supported")
+    .filter((name) => name !== "supported" && (name !== "branch" || !vessel.isGrid || vessel.seams.size))
     .sort((a, b) => place(a) - place(b) || (a < b ? -1 : 1));
 }
 

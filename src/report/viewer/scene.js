@@ -229,8 +229,9 @@ class Scene {
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.indices);
     if (!vessel.isGrid) {
       gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, vessel.triangles, gl.STATIC_DRAW);
-    } else if (vessel.rings > this.indexedRings) {
-      this.indexedRings = Math.max(vessel.rings, 2 * this.indexedRings);
+    } else if (vessel.rings > this.indexedRings || this.indexedSeams !== [...vessel.seams].join()) {
+      if (vessel.rings > this.indexedRings) this.indexedRings = Math.max(vessel.rings, 2 * this.indexedRings);
+      this.indexedSeams = [...vessel.seams].join();
       gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, vessel.indices(0, this.indexedRings - 1), gl.STATIC_DRAW);
     }
     gl.bindVertexArray(null);

@@ -111,6 +111,7 @@ class Vessel {
     this.supported = new Float32Array(this.count);
     this.givenAxis = json.axis_mm === undefined ? null : this.seen(floats(json.axis_mm, "axis_mm"));
     this.middles = new Float32Array(3 * this.rings);
+    this.seams = new Set();
     if (isGrid && !this.arrays.has("radius_mm")) this.arrays.set("radius_mm", new Float32Array(this.count));
     this.derive(0, isGrid ? this.rings : this.count);
   }
@@ -201,9 +202,11 @@ class Vessel {
       for (let i = first; i < last; i += 1)
         radius[i] = norm(minus(at(p, i), at(this.middles, Math.floor(i / N))));
     }
+    this.findSeams();
     [from, to] = [Math.max(from - 1, 0), Math.min(to + 1, this.rings)];
     for (let k = from; k < to; k += 1) {
-      const [low, high] = [Math.max(k - 1, 0) * N, Math.min(k + 1, this.rings - 1) * N];
+      const low = (this.seams.has(k - 1) ? k : Math.max(k - 1, 0)) * N,
+        high = (this.seams.has(k) ? k : Math.min(k + 1, this.rings - 1)) * N;
       for (let j = 0; j < N; j += 1) {
         const [next, last] = [k * N + ((j + 1) % N), k * N + ((j + N - 1) % N)];
         const around = minus(at(p, next), at(p, last)),
@@ -212,6 +215,15 @@ class Vessel {
       }
     }
     return [from, to];
+  }
+
+  /** The rings after which another branch begins: nothing lies between such a ring and the next. */
+  findSeams() {
+    const branch = this.names.includes("branch") ? this.arrays.get("branch") : null,
+      N = this.nodes;
+    this.seams = new Set();
+    for (let k = 0; branch && k + 1 < this.rings; k += 1)
+      if (branch[k * N] !== branch[(k + 1) * N]) this.seams.add(k);
   }
 
   meshNormals() {
@@ -234,7 +246,8 @@ class Vessel {
       for (let j = 0; j < N; j += 1) {
         const a = k * N + j,
           b = k * N + ((j + 1) % N);
-        all.set([a, b, b + N, a, b + N, a + N], at);
+        // Triangles of a seam are a point each, and nothing is seen of them.
+        all.set(this.seams.has(k) ? [a, a, a, a, a, a] : [a, b, b + N, a, b + N, a + N], at);
         at += 6;
       }
     }
@@ -254,6 +267,7 @@ class Vessel {
       j = face % N;
     const a = k * N + j,
       b = k * N + ((j + 1) % N);
+    if (this.seams.has(k)) return [a, a, a];
     return t & 1 ? [a, b + N, a + N] : [a, b, b + N];
   }
 
@@ -269,7 +283,8 @@ class Vessel {
   get axisLength() {
     const axis = this.axis;
     let sum = 0;
-    for (let i = 1; axis && i < axis.length / 3; i += 1) sum += norm(minus(at(axis, i), at(axis, i - 1))) || 0;
+    for (let i = 1; axis && i < axis.length / 3; i += 1)
+      if (!this.isGrid || !this.seams.has(i - 1)) sum += norm(minus(at(axis, i), at(axis, i - 1))) || 0;
     return sum;
   }
 
@@ -303,7 +318,7 @@ class Vessel {
     const step = Math.ceil((this.rings - 1) / 2000),
       distances = [];
     for (let k = 1; k < this.rings; k += step)
-      distances.push(norm(minus(at(this.middles, k), at(this.middles, k - 1))));
+      if (!this.seams.has(k - 1)) distances.push(norm(minus(at(this.middles, k), at(this.middles, k - 1))));
     return 2 * median(distances.filter(Number.isFinite));
   }
 }

@@ -3,70 +3,59 @@
 //! Instead of all echoes at once, it fits a window of rings about the newest echoes, and a background window that moves
 //! along the vessel to bring earlier results to the current noise and smoothness. Within a window, residuals are evaluated
 //! again where the wall has moved most since (as iSAM2 relinearises: Kaess et al., IJRR 31(2), 2012), and the wall is
-//! solved for with all rings outside fixed. See `docs/method.md`, "Live".
+//! solved for with all rings outside fixed. A branch that the catheter enters has a wall of its own from then on; every
+//! frame goes to one wall. See `docs/method.md`, "Live".
 
 mod band;
 mod curve;
 mod running_median;
 mod vessel;
+mod wall;
 
-use super::prepare::centreline::centreline;
 use super::prepare::contour::{MAX_FOLDED, Outline};
-use super::prepare::noise::{TANGENTIAL_PER_JUMP, outward_bias_mm};
-use super::prepare::resolution::resolution;
-use super::surface::surface;
-use crate::geometry::polyline::lengths;
-use crate::recording::echo_error::angle_jumps_mm;
+use crate::Result;
 use crate::recording::{FRAME_INTERVAL_S, Frame};
-use crate::settings::Settings;
+use crate::settings::{Branches, Settings};
 use crate::surface::Surface;
-use crate::{Error, Result};
-use curve::Curve;
-use glam::{DVec2, DVec3};
-use running_median::RunningMedian;
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use std::collections::VecDeque;
-use std::f64::consts::TAU;
 use std::ops::Range;
-use std::time::Instant;
+use vessel::PlacedFrame;
 pub(crate) use vessel::Step;
-use vessel::{GrowingVessel, PlacedFrame};
+use wall::LiveWall;
 
-/// Largest number of frames that wait until the contours cover a lumen's radius of the vessel; beyond it every second one
-/// is dropped.
-const MAX_WAITING: usize = 128;
-/// Echoes that a vessel begins with, and waiting ones that every later frame brings along.
-const FIRST_ECHOES: usize = 2048;
-const FED_ECHOES: usize = 256;
-/// The vessel begins when the contours' centres lie this many lumen radii apart.
-const START_RADII: f64 = 1.5;
+/// Frames whose centres lie within this share of the lumen about the wall that a branch leaves belong to that wall.
+const WITHIN_PARENT: f64 = 0.75;
+/// A frame belongs to a branch that was entered but has no wall yet where it lies this near to one of the branch's frames, in
+/// lumen radii.
+const STRIDE_RADII: f64 = 2.0;
+/// Branches that were entered and have no wall yet; of more, the oldest is forgotten.
+const MAX_ENTERED: usize = 8;
 
-/// A vessel swept along its centreline while the recording goes on.
+/// A vessel swept along the centrelines of its branches while the recording goes on.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct LiveSweep {
     #[serde(skip)]
     settings: Settings,
     frames: usize,
     clock_s: f64,
-    /// Frames from before the vessel began, the oldest first: a few of them come with every frame after that.
-    waiting: VecDeque<PlacedFrame>,
-    /// Running medians of the contours' radii and of their [angle jumps](angle_jumps_mm).
-    contours: RunningMedian,
-    jumps: RunningMedian,
-    vessel: Option<GrowingVessel>,
+    /// The wall that was seen first, and those of branches, in the order in which they were found.
+    walls: Vec<LiveWall>,
+    /// Branches that were entered and are too short for a wall yet, the oldest first.
+    entered: Vec<LiveWall>,
+}
+
+/// Where a frame belongs.
+enum Place {
+    Wall(usize),
+    Entered(usize),
+    New,
 }
 
 impl LiveSweep {
     pub fn new(settings: &Settings) -> Self {
-        Self {
-            settings: settings.clone(),
-            frames: 0,
-            clock_s: 0.0,
-            waiting: VecDeque::new(),
-            contours: RunningMedian::new(),
-            jumps: RunningMedian::new(),
-            vessel: None,
-        }
+        let first = LiveWall::new(None);
+        Self { settings: settings.clone(), frames: 0, clock_s: 0.0, walls: vec![first], entered: Vec::new() }
     }
 
     /// Forgets all frames.
@@ -78,10 +67,21 @@ impl LiveSweep {
     /// settings: then nothing changes.
     pub fn go_on<'a>(&mut self, bytes: &'a [u8]) -> Option<&'a [u8]> {
         let (state, rest) = postcard::take_from_bytes::<Self>(bytes).ok()?;
-        let sound = state.waiting.len() <= MAX_WAITING
-            && state.contours.holds(std::iter::empty())
-            && state.jumps.holds(std::iter::empty())
-            && state.vessel.as_ref().is_none_or(|vessel| vessel.is_sound(&self.settings));
+        let nodes = state.nodes();
+        let sound = !state.walls.is_empty()
+            && state.entered.len() <= MAX_ENTERED
+            && state.walls.iter().enumerate().all(|(k, wall)| {
+                wall.is_sound(&self.settings)
+                    && (k == 0 || wall.has_begun())
+                    && (!wall.has_begun() || wall.nodes() == nodes)
+                    && wall.parent.is_some() == (k > 0)
+                    && wall.parent.is_none_or(|parent| parent < k)
+            })
+            && state.entered.iter().all(|wall| {
+                wall.is_sound(&self.settings)
+                    && !wall.has_begun()
+                    && wall.parent.is_some_and(|parent| parent < state.walls.len())
+            });
         sound.then(|| *self = Self { settings: std::mem::take(&mut self.settings), ..state })?;
         Some(rest)
     }
@@ -104,107 +104,163 @@ impl LiveSweep {
             placed.outline = None;
         }
         self.frames += 1;
-        if let Some(radius) = placed.outline.map(|outline| outline.radius_mm).filter(|radius| *radius > 0.0) {
-            self.contours.add(radius);
+        let nodes = self.walls[0].has_begun().then(|| self.nodes());
+        match self.place_of(&placed) {
+            Place::Wall(k) => {
+                let step = self.walls[k].push(placed, nodes, &self.settings)?;
+                Ok(self.in_all(k, step))
+            }
+            Place::Entered(k) => self.enter(k, placed, nodes),
+            Place::New => {
+                if self.entered.len() == MAX_ENTERED {
+                    self.entered.remove(0);
+                }
+                self.entered.push(LiveWall::new(placed.centre_mm().map(|centre| self.nearest_wall(centre))));
+                self.enter(self.entered.len() - 1, placed, nodes)
+            }
         }
-        angle_jumps_mm(&placed.frame.contour_mm).for_each(|jump| {
-            self.jumps.add(jump);
-        });
-        let radius_mm = self.contours.value();
-        if let Some(vessel) = &mut self.vessel {
-            vessel.grid.arc_mm = TAU * radius_mm / vessel.grid.nodes as f64;
-            // On a thread of the pool, so that none of the many short tasks has to be handed over to it.
-            let earlier = fed(&mut self.waiting, FED_ECHOES);
-            return rayon::scope(|_| vessel.push(&placed, &earlier));
-        }
-        self.waiting.push_back(placed);
-        if self.waiting.len() > MAX_WAITING {
-            let mut count = 0;
-            self.waiting.retain(|_| {
-                count += 1;
-                count % 2 == 1
-            });
-        }
-        self.start(radius_mm)
     }
 
-    /// Starts the vessel once its contours cover a length.
-    fn start(&mut self, radius_mm: f64) -> Result<Step> {
-        let centres: Vec<DVec3> = self.waiting.iter().filter_map(PlacedFrame::centre_mm).collect();
-        let (low, high) = centres
-            .iter()
-            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &p| (low.min(p), high.max(p)));
-        if radius_mm <= 0.0 || centres.is_empty() || low.distance(high) < START_RADII * radius_mm {
-            return Ok(Step::default());
-        }
-        let start = Instant::now();
-        let Some(curve) = centreline(&centres, radius_mm)? else { return Ok(Step::default()) };
-        let length_mm = lengths(&curve).last().copied().unwrap_or(0.0);
-        let contours_mm: Vec<&[DVec2]> =
-            self.waiting.iter().map(|placed| &placed.frame.contour_mm[..]).collect();
-        // As for infinite noise: a finer grid would take longer than a frame may.
-        let resolution = resolution(&contours_mm, length_mm, radius_mm, f64::INFINITY, &self.settings);
-        let (nodes, step_mm) = match resolution {
-            // Frames that lie too far apart wait for others between them.
-            Err(Error::Recording { .. }) => return Ok(Step::default()),
-            resolution => resolution?,
+    /// The wall about which a point lies best, in the radii there.
+    fn nearest_wall(&self, point_mm: DVec3) -> usize {
+        let away = |wall: &LiveWall| wall.about(point_mm).map_or(f64::INFINITY, |about| about.radii_away);
+        let away: Vec<f64> = self.walls.iter().map(away).collect();
+        (0..away.len()).fold(0, |best, k| if away[k] < away[best] { k } else { best })
+    }
+
+    /// Where a frame belongs: to the wall about it, or to that which this one leaves as long as it is well within its lumen.
+    /// Outside of all lumens it lengthens a wall at its ends, and lies in another branch elsewhere.
+    fn place_of(&self, frame: &PlacedFrame) -> Place {
+        let Some(centre_mm) = frame.centre_mm() else {
+            return Place::Wall(frame.echo_mm().map_or(0, |echo| self.nearest_wall(echo)));
         };
-        let curve = Curve::along(&curve, &centres, radius_mm);
-        let mut vessel = GrowingVessel::along(curve, nodes, step_mm, radius_mm, &self.settings);
-        let axis_s = start.elapsed().as_secs_f64();
-        // As many as a frame has time for, evenly spread.
-        let echoes: usize = self.waiting.iter().map(PlacedFrame::echo_count).sum();
-        let (mut seen, mut taken) = (0, 0);
-        let (first, later) =
-            std::mem::take(&mut self.waiting).into_iter().partition::<VecDeque<_>, _>(|frame| {
-                seen += frame.echo_count();
-                let is_due = taken * echoes <= seen * FIRST_ECHOES.min(echoes);
-                taken += if is_due { frame.echo_count() } else { 0 };
-                is_due
-            });
-        self.waiting = later;
-        let step = Step { axis_s, ..vessel.start(&Vec::from(first))? };
-        self.vessel = Some(vessel);
-        Ok(step)
+        if !self.walls[0].has_begun() || self.settings.sweep.branches == Branches::Off {
+            return Place::Wall(0);
+        }
+        let mut own = self.nearest_wall(centre_mm);
+        let Some(about) = self.walls[own].about(centre_mm) else { return Place::Wall(0) };
+        if about.radii_away > 1.0 {
+            let radius_mm = frame.outline.map_or(0.0, |outline| outline.radius_mm);
+            let near = |wall: &LiveWall| wall.has_waiting_near(centre_mm, STRIDE_RADII * radius_mm);
+            return match self.entered.iter().position(near) {
+                Some(k) => Place::Entered(k),
+                None if about.is_at_end => Place::Wall(own),
+                None => Place::New,
+            };
+        }
+        while let Some(parent) = self.walls[own].parent {
+            let within = self.walls[parent].about(centre_mm).is_some_and(|p| p.radii_away < WITHIN_PARENT);
+            if !within {
+                break;
+            }
+            own = parent;
+        }
+        Place::Wall(own)
     }
 
-    /// Adds what still waits from before the vessel began, and fits the whole wall. After the last frame: it takes longer than
-    /// a frame may.
+    /// Adds a frame to a branch that was entered, which becomes a wall once it is long enough and lies outside the others.
+    fn enter(&mut self, k: usize, frame: PlacedFrame, nodes: Option<usize>) -> Result<Step> {
+        let outside = frame.centre_mm().zip(frame.outline).map_or(0.0, |(centre_mm, outline)| {
+            let outside_mm = |wall: &LiveWall| wall.about(centre_mm).map_or(0.0, |about| about.outside_mm);
+            self.walls.iter().map(outside_mm).fold(f64::INFINITY, f64::min) / outline.radius_mm
+        });
+        let wall = &mut self.entered[k];
+        wall.depth_radii = wall.depth_radii.max(outside);
+        let step = wall.push(frame, nodes, &self.settings)?;
+        if !wall.has_begun() {
+            return Ok(Step { off_axis: true, ..step });
+        }
+        let wall = self.entered.remove(k);
+        self.walls.push(wall);
+        Ok(self.in_all(self.walls.len() - 1, step))
+    }
+
+    /// A step of one wall with rings numbered through all walls. A wall that grew moves the numbers of the rings behind it:
+    /// these count as changed.
+    fn in_all(&self, k: usize, step: Step) -> Step {
+        let offset: usize = self.walls[..k].iter().map(LiveWall::rings).sum();
+        let in_all = |range: Range<usize>| range.start + offset..range.end + offset;
+        let mut changed: Vec<Range<usize>> = step.changed.iter().cloned().map(in_all).collect();
+        let all = self.rings();
+        if k > 0 && step.before > 0 {
+            changed.push(offset..all);
+        } else if step.before + step.behind > 0 {
+            changed.push(offset + self.walls[k].rings()..all);
+        }
+        if self.walls.len() > 1 {
+            changed.extend(step.changed.iter().flat_map(|range| self.rings_beside(k, range)));
+        }
+        Step { before: if k == 0 { step.before } else { 0 }, changed, ..step }
+    }
+
+    /// The rings of other walls that lie within reach of some rings of one: whether these are hidden by it may have changed.
+    fn rings_beside(&self, k: usize, rings: &Range<usize>) -> Vec<Range<usize>> {
+        let mut offset = 0;
+        let mut beside = Vec::new();
+        for (other, wall) in self.walls.iter().enumerate() {
+            if other != k
+                && let Some(range) = wall.rings_within(&self.walls[k], rings)
+            {
+                beside.push(range.start + offset..range.end + offset);
+            }
+            offset += wall.rings();
+        }
+        beside
+    }
+
+    /// Adds what still waits, and fits all walls. After the last frame: it takes longer than a frame may. Frames of branches
+    /// that never became long enough for a wall go to the wall that these leave.
     pub fn flush(&mut self) -> Result<Step> {
-        let Some(vessel) = &mut self.vessel else { return Ok(Step::default()) };
-        vessel.finish(&fed(&mut self.waiting, usize::MAX))
+        for wall in std::mem::take(&mut self.entered) {
+            let parent = wall.parent.unwrap_or(0);
+            self.walls[parent].take_waiting(wall);
+        }
+        let mut all = Step::default();
+        for k in 0..self.walls.len() {
+            let step = self.walls[k].flush()?;
+            let step = self.in_all(k, step);
+            all.add(step);
+        }
+        Ok(all)
     }
 
-    /// Number of rings.
+    /// Number of rings of all walls.
     pub fn rings(&self) -> usize {
-        self.vessel.as_ref().map_or(0, |vessel| vessel.grid.rings)
+        self.walls.iter().map(LiveWall::rings).sum()
     }
 
     /// Nodes per ring.
     pub fn nodes(&self) -> usize {
-        self.vessel.as_ref().map_or(0, |vessel| vessel.grid.nodes)
+        self.walls[0].nodes()
     }
 
-    /// Some rings as a surface.
+    /// Number of walls: the first, and one for each branch that the catheter entered.
+    pub fn branches(&self) -> usize {
+        self.walls.len()
+    }
+
+    /// Some rings as a surface, each wall by itself. What lies within the lumen of another wall is not supported.
     pub fn surface(&self, rings: Range<usize>, keep_unsupported: bool) -> Surface {
-        let Some(vessel) = &self.vessel else { return Surface::default() };
-        let tangential_mm = (TANGENTIAL_PER_JUMP * self.jumps.value()).min(vessel.noise_mm());
-        let radius = |node: usize| {
-            let radius = vessel.radii_mm[node];
-            radius - outward_bias_mm(radius, tangential_mm)
-        };
-        surface(&vessel.axis, vessel.grid.nodes, rings, &vessel.support, radius, keep_unsupported)
+        let mut whole = Surface::default();
+        let mut offset = 0;
+        for (k, wall) in self.walls.iter().enumerate() {
+            let end = offset + wall.rings();
+            let own = rings.start.clamp(offset, end) - offset..rings.end.clamp(offset, end) - offset;
+            offset = end;
+            if own.is_empty() {
+                continue;
+            }
+            let others: Vec<(&LiveWall, bool)> = self
+                .walls
+                .iter()
+                .enumerate()
+                .filter(|(other, _)| *other != k)
+                .map(|(other, wall)| (wall, other < k))
+                .collect();
+            let mut part = wall.surface(own, &others, keep_unsupported);
+            part.set_array("branch", vec![k as f64; part.nodes_mm.len()]);
+            whole.append(part);
+        }
+        whole
     }
-}
-
-/// Takes the frames that waited longest, of at least so many echoes.
-fn fed(waiting: &mut VecDeque<PlacedFrame>, echoes: usize) -> Vec<PlacedFrame> {
-    let mut taken = 0;
-    let is_enough = |frame: &PlacedFrame| {
-        let is_enough = taken >= echoes;
-        taken += frame.echo_count();
-        is_enough
-    };
-    let count = waiting.iter().position(is_enough).unwrap_or(waiting.len());
-    waiting.drain(..count).collect()
 }

@@ -50,6 +50,8 @@ const SUPPORT_MARGIN: usize = 8;
 const MAX_RINGS: usize = 1 << 24;
 const MAX_NODES: usize = 1 << 14;
 const MIN_STEP_SPACINGS: f64 = 1e-3;
+/// Length of an end of the wall, in lumen radii.
+const END_RADII: f64 = 1.0;
 /// Rounds over the first frames, and those of them that are a warm-up.
 const FIRST_ROUNDS: usize = 4;
 const WARM_UP_ROUNDS: usize = 1;
@@ -61,8 +63,9 @@ const MIN_RESIDUALS: u64 = 256;
 /// The change of the vessel by a frame.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Step {
-    /// Rings that were added in front.
+    /// Rings that were added in front, and behind.
     pub before: usize,
+    pub behind: usize,
     /// Rings that changed.
     pub changed: Vec<Range<usize>>,
     /// Echoes that were placed or whose residuals were evaluated.
@@ -75,6 +78,33 @@ pub(crate) struct Step {
     pub axis_s: f64,
     pub placing_s: f64,
     pub solving_s: f64,
+}
+
+impl Step {
+    /// Adds what another step changed after this one.
+    pub fn add(&mut self, step: Self) {
+        self.changed.iter_mut().for_each(|range| *range = range.start + step.before..range.end + step.before);
+        self.changed.extend(step.changed);
+        self.before += step.before;
+        self.behind += step.behind;
+        self.echoes += step.echoes;
+        self.rings += step.rings;
+        self.off_axis |= step.off_axis;
+        self.axis_s += step.axis_s;
+        self.placing_s += step.placing_s;
+        self.solving_s += step.solving_s;
+    }
+}
+
+/// Where a point lies about a wall's axis.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct About {
+    /// Distance from the axis in lumen radii there.
+    pub radii_away: f64,
+    /// Distance from the wall, mm; negative within the lumen.
+    pub outside_mm: f64,
+    /// Whether it lies beside or beyond an end of the wall that was seen, where the axis may still follow the catheter.
+    pub is_at_end: bool,
 }
 
 /// A frame in the world.
@@ -90,6 +120,11 @@ pub(super) struct PlacedFrame {
 impl PlacedFrame {
     pub fn echo_count(&self) -> usize {
         self.frame.echoes_mm().count()
+    }
+
+    /// An echo in the world.
+    pub fn echo_mm(&self) -> Option<DVec3> {
+        self.frame.echoes_mm().next().map(|echo| self.world_from_probe.transform_point(echo.extend(0.0)))
     }
 
     /// The centre of the outline in the world.
@@ -200,6 +235,63 @@ impl GrowingVessel {
             && self.residuals.holds(self.bands.iter().flat_map(EchoBand::bins))
             && self.densities.holds(bins(0))
             && self.errors.holds(bins(1))
+    }
+
+    /// Mean radius of a ring, mm.
+    fn ring_radius_mm(&self, ring: usize) -> f64 {
+        let nodes = self.grid.nodes;
+        self.radii_mm[ring * nodes..(ring + 1) * nodes].iter().sum::<f64>() / nodes as f64
+    }
+
+    /// Where a point lies.
+    pub fn about(&self, point_mm: DVec3) -> About {
+        let ring = self.axis.nearest_ring(point_mm);
+        let radius_mm = self.ring_radius_mm(ring);
+        let distance_mm = point_mm.distance(self.axis.points_mm[ring]);
+        let rings_to_end =
+            ring.saturating_sub(self.observed.start).min(self.observed.end.saturating_sub(ring));
+        About {
+            radii_away: distance_mm / radius_mm,
+            outside_mm: distance_mm - radius_mm,
+            is_at_end: rings_to_end as f64 * self.grid.step_mm < END_RADII * radius_mm,
+        }
+    }
+
+    /// The ring nearest to a ring of another wall, where the two walls may touch.
+    pub fn ring_in_reach(&self, other: &Self, ring: usize) -> Option<usize> {
+        let point_mm = other.axis.points_mm[ring];
+        let near = self.axis.nearest_ring(point_mm);
+        let is_near = self.axis.points_mm[near].distance(point_mm) < self.farthest_mm + other.farthest_mm;
+        is_near.then_some(near)
+    }
+
+    /// Whether a point lies within the wall that was seen, or no farther outside of it than `margin_mm`. The search along the
+    /// axis starts at ring `near`.
+    pub fn encloses(&self, point_mm: DVec3, near: usize, margin_mm: f64) -> bool {
+        let Some(place) = self.axis.place(point_mm, near) else { return false };
+        let (ring, nodes) = (place.ring as usize, self.grid.nodes);
+        if !self.observed.contains(&ring) {
+            return false;
+        }
+        let around = place.theta_rad.rem_euclid(TAU) / TAU * nodes as f64;
+        let (j, beside) = (around as usize % nodes, around.fract());
+        let at = |ring: usize| {
+            let [a, b] = [j, (j + 1) % nodes].map(|j| self.radii_mm[ring * nodes + j]);
+            a + beside * (b - a)
+        };
+        let along = place.ring - ring as f64;
+        place.radius_mm < at(ring) * (1.0 - along) + at(ring + 1) * along + margin_mm
+    }
+
+    /// The rings of this wall that may touch some rings of another.
+    pub fn rings_within(&self, other: &Self, rings: &Range<usize>) -> Option<Range<usize>> {
+        let points_mm = other.axis.points_mm.get(rings.start..rings.end.min(other.grid.rings))?;
+        let reach_mm = self.farthest_mm + other.farthest_mm;
+        let own_mm = &self.axis.points_mm;
+        let is_near = |&ring: &usize| points_mm.iter().any(|point| point.distance(own_mm[ring]) < reach_mm);
+        let first = (0..own_mm.len()).find(is_near)?;
+        let last = (first..own_mm.len()).rfind(is_near)?;
+        Some(first..last + 1)
     }
 
     /// Places the first frames and fits the wall about them.

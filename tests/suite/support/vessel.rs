@@ -37,3 +37,11 @@ pub fn coverage(surface: &Surface, truth: &Recording) -> f64 {
     let closest = Locator::new(surface).unwrap().closest_all(&points);
     closest.iter().filter(|c| c.distance_mm < 1.0).count() as f64 / points.len() as f64
 }
+
+/// All of a surface; numbers that are none are equal.
+pub fn bits(surface: &Surface) -> impl PartialEq + use<> {
+    let nodes: Vec<[u64; 3]> = surface.nodes_mm.iter().map(|p| p.to_array().map(f64::to_bits)).collect();
+    let values = |of: &[f64]| of.iter().map(|v| v.to_bits()).collect::<Vec<u64>>();
+    let arrays: Vec<_> = surface.arrays.iter().map(|a| (a.name.clone(), values(&a.values))).collect();
+    (nodes, surface.triangles.clone(), arrays)
+}
