@@ -351,6 +351,12 @@ class Live:
         return self._native.nodes()
 
     @property
+    def branches(self) -> int:
+        """Branches that have a wall: what was seen first, and each that the catheter entered since. The array `branch` of a
+        swept vessel says which one a vertex belongs to."""
+        return self._native.branches()
+
+    @property
     def engine(self) -> dict[str, str] | None:
         """Where frames are computed: `name`, `adapter` of a device, and `why`. None before the first cylinder."""
         said: dict[str, str] | None = json.loads(self._native.engine())

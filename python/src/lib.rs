@@ -405,6 +405,10 @@ impl NativeLive {
         self.with(py, |live| live.nodes())
     }
 
+    fn branches(&self, py: Python<'_>) -> PyResult<usize> {
+        self.with(py, |live| live.branches())
+    }
+
     /// As JSON.
     fn engine(&self, py: Python<'_>) -> PyResult<String> {
         json(self.with(py, |live| live.engine())?)

@@ -143,7 +143,8 @@ def test_live_grows_and_tells_what_changed(simulated):
     assert lm.evaluate(live.surface(), truth)["mesh_to_truth"]["median_mm"] < 0.3
     with pytest.raises(lm.Error, match="pose: found shape"):
         live.push(np.eye(3), recording.contours[0])
-    assert live.engine["name"] == "cpu"
+    assert live.engine["name"] == "cpu" and live.branches == 1
+    assert not live.surface().point_data["branch"].any()
     live.reset()
     assert len(live) == 0 and live.rings == 0 and "0 frames" in repr(live)
 

@@ -200,8 +200,10 @@ struct Summary<'a> {
     restarts: &'a [usize],
     /// What is suspicious about a recording as a whole.
     suspicions: Vec<Finding>,
-    /// Frames too far from the vessel's axis to be used.
+    /// Frames outside of the vessel's lumen when they came.
     off_axis: usize,
+    /// Branches that have a wall, with the first.
+    branches: usize,
     /// The first frame with a vessel.
     first_frame: Option<usize>,
     #[serde(flatten)]
@@ -483,6 +485,7 @@ impl Arguments {
             restarts: &outcome.restarts,
             suspicions: suspicions.unwrap_or_default(),
             off_axis: outcome.off_axis,
+            branches: live.branches(),
             first_frame: outcome.first_frame,
             times: TimesReport::of(&outcome.times),
             most_work: outcome.most_work,
@@ -506,7 +509,7 @@ impl Summary<'_> {
             return self.print_arrivals();
         }
         println!(
-            "frames     {}, {} left out, {} too far from the axis",
+            "frames     {}, {} left out, {} outside the lumen when they came",
             self.frames,
             self.left_out.len(),
             self.off_axis
@@ -523,8 +526,10 @@ impl Summary<'_> {
         }
         self.suspicions.iter().for_each(|finding| print!("{finding}"));
         if let Some(frame) = self.first_frame {
+            let branches =
+                if self.branches > 1 { format!("{} branches, ", self.branches) } else { String::new() };
             println!(
-                "vessel     from frame {frame} on; {} nodes, {} triangles in the end",
+                "vessel     from frame {frame} on; {branches}{} nodes, {} triangles in the end",
                 self.nodes, self.triangles
             );
         }

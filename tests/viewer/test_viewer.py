@@ -167,6 +167,36 @@ def test_a_finished_page_shows_wall_legend_map_and_numbers(show, scheme):
     keep(tab, f"finished_{scheme}")
 
 
+def test_nothing_lies_between_two_branches(show):
+    tube = Tube()
+    plain = wall(pixels(show(tube.vessel())))
+    # The second half from its far end on: as another branch it looks the same, joined to the first it does not.
+    order = np.r_[:60, 119:59:-1]
+    tube.positions_mm = tube.positions_mm[order]
+    tube.arrays = {name: values[order] for name, values in tube.arrays.items()}
+    joined = wall(pixels(show(tube.vessel())))
+    tube.arrays["branch"] = np.repeat(np.arange(120)[:, None] // 60, tube.nodes, axis=1)
+    tab = show(tube.vessel())
+    apart = wall(pixels(tab))
+    keep(tab, "branches")
+    assert np.mean(apart & ~plain) < 0.001 and np.mean(plain & ~apart) < 0.002
+    assert np.mean(joined & ~plain) > 0.005
+    # New rings of the first branch move the gap.
+    assert tab.evaluate("[...lumenmesh.vessel.seams]") == [59]
+    tab.evaluate("(change) => lumenmesh.take(change)", change_of(tube, 61))
+    assert tab.evaluate("[...lumenmesh.vessel.seams]") == [60]
+
+
+def change_of(tube, first_of_branch):
+    """A ring more of the first branch: the rings behind it have other numbers."""
+    order = np.r_[:60, 59, 60:120]
+    tube.positions_mm = tube.positions_mm[order]
+    tube.arrays = {name: values[order] for name, values in tube.arrays.items()}
+    tube.arrays["branch"][:first_of_branch] = 0
+    changed = [{"from": 60, "to": 121} | tube.part(60, 121)]
+    return {"type": "change", "before": 0, "rings": 121, "changed": changed}
+
+
 def test_a_click_measures_the_ring_there(show):
     tube = Tube()
     tab = show(tube.vessel())
