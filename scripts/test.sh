@@ -80,10 +80,6 @@ else
   [ "${LUMENMESH_REQUIRE_TOOLS:-}" != 1 ] || status=1
 fi
 run cargo test "${chosen[@]}" --bench distance --bench fit --bench live --bench openigtlink -- --test
-# Each feature builds alone, and the library without any.
-for features in "" cli gpu render mcap; do
-  run cargo check --quiet --no-default-features --features "$features"
-done
 if [ "${1:-}" = --release ]; then
   # The large sizes need an optimised build: about ten minutes on a software device.
   run cargo test --release --all-features --test gpu -- --ignored --nocapture

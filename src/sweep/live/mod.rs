@@ -208,13 +208,10 @@ impl LiveSweep {
         beside
     }
 
-    /// Adds what still waits, and fits all walls. After the last frame: it takes longer than a frame may. Frames of branches
-    /// that never became long enough for a wall go to the wall that these leave.
+    /// Adds what still waits for its wall, and fits all walls. After the last frame: it takes longer than a frame may. Frames
+    /// of branches that never became long enough for a wall are not used: they lie outside of all lumens.
     pub fn flush(&mut self) -> Result<Step> {
-        for wall in std::mem::take(&mut self.entered) {
-            let parent = wall.parent.unwrap_or(0);
-            self.walls[parent].take_waiting(wall);
-        }
+        self.entered.clear();
         let mut all = Step::default();
         for k in 0..self.walls.len() {
             let step = self.walls[k].flush()?;

@@ -87,11 +87,6 @@ impl LiveWall {
         self.vessel.as_ref()?.rings_within(other.vessel.as_ref()?, rings)
     }
 
-    /// Takes over the frames that wait for a wall that will not begin.
-    pub fn take_waiting(&mut self, other: Self) {
-        self.waiting.extend(other.waiting);
-    }
-
     /// Adds a frame. A wall that begins has that many nodes a ring, where they are given.
     pub fn push(&mut self, placed: PlacedFrame, nodes: Option<usize>, settings: &Settings) -> Result<Step> {
         let rings = self.rings();
