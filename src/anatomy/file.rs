@@ -15,7 +15,8 @@ impl VesselTree {
     /// `MaximumInscribedSphereRadius` (distance from the axis to the wall, mm), `CenterlineSectionArea` (mm²; NaN where no
     /// outline of the branch's lumen alone is closed), `Curvature` and `Torsion` (1/mm), `FrenetTangent` and
     /// `ParallelTransportNormals` (unit vectors along and across the axis); and `EquivalentRadius` (of the circle of that
-    /// area, mm), `BranchId` (also of each line) and `SectionClosed` (1 or 0). `surface` is what the axes belong to.
+    /// area, mm), `BranchId` (also of each line), `SectionClosed` (1 or 0) and `BifurcationOf` (at the node of an axis at which
+    /// another branch leaves it, that branch; NaN elsewhere). `surface` is what the axes belong to.
     ///
     /// # Errors
     /// [`Error::UnknownEnding`] for another ending than .vtp; as [`Sections::of`]; [`Error::Write`].
@@ -24,7 +25,7 @@ impl VesselTree {
         let sections = Sections::of(surface, Some(self))?;
         let mut lines: Vec<Vec<u32>> = Vec::new();
         let mut nodes_mm: Vec<DVec3> = Vec::new();
-        let mut scalars: [Vec<f64>; 8] = Default::default();
+        let mut scalars: [Vec<f64>; 9] = Default::default();
         let mut vectors: [Vec<f64>; 2] = Default::default();
         for (branch, axis) in (0..).zip(&self.axes) {
             let steps = axis.length_mm().ceil().clamp(50.0, 2000.0);
@@ -45,6 +46,8 @@ impl VesselTree {
                 nodes_mm.push(space.swapped(pose.translation_mm));
             }
         }
+        let leaving = self.leaving(&lines, |node| space.swapped(nodes_mm[node as usize]));
+        scalars[8] = leaving;
         let names = [
             "Abscissas",
             "MaximumInscribedSphereRadius",
@@ -54,6 +57,7 @@ impl VesselTree {
             "Torsion",
             "BranchId",
             "SectionClosed",
+            "BifurcationOf",
         ];
         let of_scalars = names.into_iter().zip(&scalars).map(|(name, values)| (name, 1, values.as_slice()));
         let of_vectors = ["FrenetTangent", "ParallelTransportNormals"].into_iter().zip(&vectors);
@@ -67,6 +71,24 @@ impl VesselTree {
             ..PolyData::default()
         };
         write_atomically(path, |w| file.write(space, w))
+    }
+
+    /// Of each node of the lines along the axes: the branch that leaves there, NaN for none. A branch leaves the axis, of those
+    /// before it, that one of its ends is nearest to.
+    fn leaving(&self, lines: &[Vec<u32>], place: impl Fn(u32) -> DVec3) -> Vec<f64> {
+        let mut leaving = vec![f64::NAN; lines.iter().map(Vec::len).sum()];
+        for (branch, axis) in self.axes.iter().enumerate().skip(1) {
+            let ends = [0.0, axis.length_mm()].map(|at| axis.pose(at).translation_mm);
+            let away = |node: u32| {
+                ends.map(|end| end.distance_squared(place(node))).into_iter().fold(f64::MAX, f64::min)
+            };
+            let earlier = lines[..branch].iter().flatten().copied();
+            let nearest = earlier.map(|node| (away(node), node)).min_by(|a, b| a.0.total_cmp(&b.0));
+            if let Some((_, node)) = nearest {
+                leaving[node as usize] = branch as f64;
+            }
+        }
+        leaving
     }
 }
 

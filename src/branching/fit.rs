@@ -5,6 +5,7 @@
 //! and λ the weight of bending in the sweeps, so that u is as smooth as they are. u is 0 where the grids begin.
 
 use super::join::{Joined, Origin};
+use super::plate::{Laplacian, conjugate_gradients};
 use super::tube::Tube;
 use crate::Result;
 use crate::numerics::robust::{median, tukey_weight};
@@ -22,15 +23,13 @@ const CUT_OFF: f64 = 4.685;
 const ON_WALL: f64 = 3.0;
 /// Least cosine between a ray and the normal of the wall that it meets: along a wall a ray says nothing of its place.
 const LEAST_COSINE: f64 = 0.2;
-/// Steps of the conjugate gradients, and their relative accuracy.
-const MAX_STEPS: usize = 400;
-const ACCURACY: f64 = 1e-4;
 /// Largest movement of a node in one round, in edges.
 const MAX_EDGES: f64 = 1.5;
 /// Rounds in which crossings are undone, those of them that go half way back, and rings of nodes about a crossing that move.
 const UNTANGLING: usize = 24;
 const HALVINGS: usize = 4;
 const RINGS_ABOUT: usize = 2;
+
 /// What is known of a tube's fit.
 pub(super) struct TubeFit<'a> {
     /// Standard deviation of an echo about the wall, mm, and the part of it along the wall.
@@ -49,6 +48,8 @@ pub(super) struct WorldEcho {
     /// Where the probe looks from.
     pub origin_mm: DVec3,
     pub point_mm: DVec3,
+    /// Unit normal of its image.
+    pub image_normal: DVec3,
     pub frame: u32,
 }
 
@@ -119,18 +120,7 @@ struct Seen {
 impl Part {
     fn of(joined: &Joined, parting: usize, tubes: &[Tube], fits: &[TubeFit]) -> Option<Self> {
         let is_free = |n: u32| joined.parting[n as usize] == Some(parting);
-        let mut number = std::collections::HashMap::new();
-        let mut nodes: Vec<u32> = Vec::new();
-        let mut surface = Surface::default();
-        for &triangle in joined.surface.triangles.iter().filter(|t| t.iter().any(|&n| is_free(n))) {
-            surface.triangles.push(triangle.map(|n| {
-                *number.entry(n).or_insert_with(|| {
-                    nodes.push(n);
-                    surface.nodes_mm.push(joined.surface.nodes_mm[n as usize]);
-                    (nodes.len() - 1) as u32
-                })
-            }));
-        }
+        let (surface, nodes) = joined.surface.part(|t| t.iter().any(|&n| is_free(n)));
         let mut members: Vec<usize> = Vec::new();
         let (mut radius_mm, mut bias_mm) = (Vec::new(), Vec::new());
         for &n in &nodes {
@@ -254,16 +244,7 @@ impl Part {
     /// nodes about a crossing go back half way to where they were `before`, a number of times, then all the way, and then to
     /// the middle of their neighbours.
     fn untangle(&mut self, before: &[DVec3]) {
-        let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); self.nodes.len()];
-        for &[a, b, c] in &self.surface.triangles {
-            for (node, others) in [(a, [b, c]), (b, [c, a]), (c, [a, b])] {
-                neighbours[node as usize].extend(others);
-            }
-        }
-        neighbours.iter_mut().for_each(|of| {
-            of.sort_unstable();
-            of.dedup();
-        });
+        let neighbours = self.surface.neighbours();
         for round in 0..UNTANGLING {
             let crossing = crossings(&self.surface);
             if crossing.is_empty() {
@@ -353,117 +334,10 @@ impl Part {
 }
 
 /// Barycentric coordinates of a point of a triangle.
-fn barycentric([a, b, c]: [DVec3; 3], p: DVec3) -> [f64; 3] {
+pub(super) fn barycentric([a, b, c]: [DVec3; 3], p: DVec3) -> [f64; 3] {
     let normal = (b - a).cross(c - a);
     let square = normal.length_squared().max(f64::MIN_POSITIVE);
     let share = |q: DVec3, r: DVec3| ((q - p).cross(r - p).dot(normal) / square).clamp(0.0, 1.0);
     let (u, v) = (share(b, c), share(c, a));
     [u, v, (1.0 - u - v).max(0.0)]
-}
-
-/// The Laplacian of a triangle surface by cotangents, times the area of the nodes.
-struct Laplacian {
-    edges: Vec<([u32; 2], f64)>,
-    area_mm2: Vec<f64>,
-}
-
-/// Least weight of an edge: obtuse angles must not make it negative.
-const LEAST_WEIGHT: f64 = 0.05;
-
-impl Laplacian {
-    fn of(surface: &Surface) -> Self {
-        let mut edges: Vec<([u32; 2], f64)> = Vec::with_capacity(3 * surface.triangles.len());
-        for &triangle in &surface.triangles {
-            for k in 0..3 {
-                let [at, p, q] = [triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]];
-                let [a, b, c] = [at, p, q].map(|n| surface.nodes_mm[n as usize]);
-                let (u, v) = (b - a, c - a);
-                let cotangent = u.dot(v) / u.cross(v).length().max(f64::MIN_POSITIVE);
-                edges.push(([p.min(q), p.max(q)], 0.5 * cotangent.clamp(-3.0, 3.0)));
-            }
-        }
-        edges.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        let sum =
-            |edge: &[([u32; 2], f64)]| (edge[0].0, edge.iter().map(|e| e.1).sum::<f64>().max(LEAST_WEIGHT));
-        let edges = edges.chunk_by(|a, b| a.0 == b.0).map(sum).collect();
-        let areas = surface.node_areas_mm2();
-        let least = 1e-3 * areas.iter().sum::<f64>() / areas.len() as f64;
-        Self { edges, area_mm2: areas.into_iter().map(|area| area.max(least)).collect() }
-    }
-
-    /// Sums of differences to the neighbours, weighted.
-    fn apply(&self, u: &[f64]) -> Vec<f64> {
-        let mut sum = vec![0.0; u.len()];
-        for &([a, b], weight) in &self.edges {
-            let flow = weight * (u[b as usize] - u[a as usize]);
-            sum[a as usize] += flow;
-            sum[b as usize] -= flow;
-        }
-        sum
-    }
-
-    /// The diagonal of λ Lᵀ A⁻¹ L.
-    fn squared_diagonal(&self, smoothness_mm2: f64) -> Vec<f64> {
-        let mut own = vec![0.0; self.area_mm2.len()];
-        let mut squared = vec![0.0; self.area_mm2.len()];
-        for &([a, b], weight) in &self.edges {
-            let [a, b] = [a, b].map(|n| n as usize);
-            own[a] += weight;
-            own[b] += weight;
-            squared[a] += weight * weight / self.area_mm2[b];
-            squared[b] += weight * weight / self.area_mm2[a];
-        }
-        let sum = |n: usize| smoothness_mm2 * (own[n] * own[n] / self.area_mm2[n] + squared[n]);
-        (0..own.len()).map(sum).collect()
-    }
-
-    /// Values spread to neighbours a number of times; their sum stays.
-    fn spread(&self, mut values: Vec<f64>, rounds: usize) -> Vec<f64> {
-        let mut neighbours = vec![1.0; values.len()];
-        for &([a, b], _) in &self.edges {
-            neighbours[a as usize] += 1.0;
-            neighbours[b as usize] += 1.0;
-        }
-        for _ in 0..rounds {
-            let share: Vec<f64> = values.iter().zip(&neighbours).map(|(x, n)| x / n).collect();
-            values.copy_from_slice(&share);
-            for &([a, b], _) in &self.edges {
-                values[a as usize] += share[b as usize];
-                values[b as usize] += share[a as usize];
-            }
-        }
-        values
-    }
-}
-
-/// Solves a symmetric positive system, preconditioned by its diagonal.
-fn conjugate_gradients(apply: &dyn Fn(&[f64]) -> Vec<f64>, right: &[f64], diagonal: &[f64]) -> Vec<f64> {
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
-    let conditioned = |r: &[f64]| -> Vec<f64> {
-        r.iter().zip(diagonal).map(|(r, d)| r / d.max(f64::MIN_POSITIVE)).collect()
-    };
-    let mut x = vec![0.0; right.len()];
-    let mut residual = right.to_vec();
-    let mut z = conditioned(&residual);
-    let mut direction = z.clone();
-    let mut rho = dot(&residual, &z);
-    let enough = ACCURACY * ACCURACY * rho;
-    for _ in 0..MAX_STEPS {
-        if rho <= enough || rho <= 0.0 {
-            break;
-        }
-        let image = apply(&direction);
-        let step = rho / dot(&direction, &image);
-        if !step.is_finite() {
-            break;
-        }
-        x.iter_mut().zip(&direction).for_each(|(x, d)| *x += step * d);
-        residual.iter_mut().zip(&image).for_each(|(r, i)| *r -= step * i);
-        z = conditioned(&residual);
-        let next = dot(&residual, &z);
-        let ratio = next / rho;
-        rho = next;
-        direction.iter_mut().zip(&z).for_each(|(d, z)| *d = z + ratio * *d);
-    }
-    x
 }

@@ -265,7 +265,7 @@ fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
         inside.fold(-1.0, f64::max)
     };
     let inside: Vec<f64> = whole.nodes_mm.par_iter().map(|p| nearest(*p).map_or(-1.0, within)).collect();
-    let mut surface = largest_part(&clipped(&whole, &inside));
+    let mut surface = largest_part(&whole.clipped(&inside));
     let mut seams: Vec<Seam> = Vec::new();
     for zone in zones {
         let rings = &tubes[zone.tube].rings;
@@ -277,7 +277,7 @@ fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
         }
     }
     let mut fixed = Vec::new();
-    let mut rims = rims(&surface);
+    let mut rims = surface.rims();
     let mut unsewn = 0;
     for seam in seams {
         let edge = if seam.below { seam.ring as f64 - 0.5 } else { seam.ring as f64 + 0.5 };
@@ -321,93 +321,17 @@ fn cell_edge_mm<'a>(tubes: impl Iterator<Item = &'a Tube<'a>> + Clone) -> f64 {
     finest.max((COARSEST_SHARE * coarsest).min(RADIUS_SHARE * radius_mm))
 }
 
-/// The part of a surface where a value of its nodes is positive.
-fn clipped(surface: &Surface, value: &[f64]) -> Surface {
-    let mut part = Surface { nodes_mm: surface.nodes_mm.clone(), ..Surface::default() };
-    let mut cuts: HashMap<(u32, u32), u32> = HashMap::new();
-    for &triangle in &surface.triangles {
-        let is_in = triangle.map(|n| value[n as usize] > 0.0);
-        let mut cut = |a: u32, b: u32| {
-            *cuts.entry((a.min(b), a.max(b))).or_insert_with(|| {
-                let (low, high) = (a.min(b), a.max(b));
-                let [p, q] = [low, high].map(|n| value[n as usize]);
-                // Not so near to a node that triangles have no area.
-                let share = (p / (p - q)).clamp(0.05, 0.95);
-                part.nodes_mm
-                    .push(surface.nodes_mm[low as usize].lerp(surface.nodes_mm[high as usize], share));
-                (part.nodes_mm.len() - 1) as u32
-            })
-        };
-        let turned = |k: usize| [triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]];
-        match is_in.iter().filter(|&&x| x).count() {
-            3 => part.triangles.push(triangle),
-            1 => {
-                let [a, b, c] = turned(is_in.iter().position(|&x| x).unwrap_or(0));
-                let (ab, ac) = (cut(a, b), cut(a, c));
-                part.triangles.push([a, ab, ac]);
-            }
-            2 => {
-                let [a, b, c] = turned(is_in.iter().position(|&x| !x).unwrap_or(0));
-                let (ab, ac) = (cut(a, b), cut(a, c));
-                part.triangles.extend([[ab, b, c], [ab, c, ac]]);
-            }
-            _ => {}
-        }
-    }
-    part
-}
-
 /// The part with most triangles, and the nodes that it uses.
-pub(super) fn largest_part(surface: &Surface) -> Surface {
+fn largest_part(surface: &Surface) -> Surface {
     let mut groups = Groups::new(surface.nodes_mm.len());
     for &[a, b, c] in &surface.triangles {
         groups.join(a, b);
         groups.join(b, c);
     }
     let mut sizes: BTreeMap<u32, usize> = BTreeMap::new();
-    let roots: Vec<u32> = surface.triangles.iter().map(|t| groups.root(t[0])).collect();
-    roots.iter().for_each(|&root| *sizes.entry(root).or_default() += 1);
+    surface.triangles.iter().for_each(|t| *sizes.entry(groups.root(t[0])).or_default() += 1);
     let largest = sizes.iter().max_by(|a, b| a.1.cmp(b.1).then(b.0.cmp(a.0))).map(|(&root, _)| root);
-    let kept = surface.triangles.iter().zip(&roots).filter(|(_, root)| Some(**root) == largest);
-    let mut number = HashMap::new();
-    let mut part = Surface::default();
-    for (triangle, _) in kept {
-        part.triangles.push(triangle.map(|n| {
-            *number.entry(n).or_insert_with(|| {
-                part.nodes_mm.push(surface.nodes_mm[n as usize]);
-                (part.nodes_mm.len() - 1) as u32
-            })
-        }));
-    }
-    part
-}
-
-/// The closed curves of the surface's boundary, each along its triangles' direction.
-fn rims(surface: &Surface) -> Vec<Vec<u32>> {
-    let mut next: BTreeMap<(u32, u32), usize> = BTreeMap::new();
-    for &[a, b, c] in &surface.triangles {
-        for edge in [(a, b), (b, c), (c, a)] {
-            *next.entry(edge).or_default() += 1;
-        }
-    }
-    let boundary: BTreeMap<u32, u32> =
-        next.keys().filter(|(a, b)| !next.contains_key(&(*b, *a))).copied().collect();
-    let mut seen = std::collections::BTreeSet::new();
-    let mut rims = Vec::new();
-    for &start in boundary.keys() {
-        let (mut rim, mut here) = (Vec::new(), start);
-        while seen.insert(here) {
-            rim.push(here);
-            match boundary.get(&here) {
-                Some(&next) => here = next,
-                None => break,
-            }
-        }
-        if rim.len() > 2 && here == start {
-            rims.push(rim);
-        }
-    }
-    rims
+    surface.part(|t| Some(groups.root(t[0])) == largest).0
 }
 
 /// Adds the nodes of a ring and the triangles between it and a rim; gives the ring's nodes.

@@ -5,10 +5,13 @@
 
 mod fit;
 mod join;
+mod mouths;
+mod plate;
 mod report;
 mod tree;
 mod tube;
 
+pub use mouths::Mouth;
 pub use report::{BranchReport, BranchesReport, BranchesTimings};
 pub use tree::{BranchPath, BranchTree, Dismissed};
 
@@ -18,7 +21,7 @@ use crate::surface::Surface;
 use crate::sweep::{StageProgress, Support, Sweep};
 use crate::{Error, Result};
 use fit::{NodeSupport, TubeFit, WorldEcho};
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use join::{Joined, Origin};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -37,6 +40,8 @@ pub struct BranchedSweep {
     pub tree: BranchTree,
     /// The sweep of each branch. Frames are numbered as in the recording.
     pub sweeps: Vec<Sweep>,
+    /// The mouths of branches that were seen but not entered.
+    pub mouths: Vec<Mouth>,
     /// The reconstruction in numbers.
     pub report: BranchesReport,
     whole: Surface,
@@ -82,12 +87,21 @@ impl BranchedSweep {
         let join_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let fits: Vec<TubeFit> = sweeps.iter().map(tube_fit).collect();
-        let support = fit::fit(&mut joined, &tubes, &fits, &world_echoes(recording, &tree, settings))?;
+        let echoes = world_echoes(recording, settings, |k| tree.frame_branch[k].is_some());
+        let support = fit::fit(&mut joined, &tubes, &fits, &echoes)?;
         let unsewn = joined.unsewn;
-        let whole = with_arrays(joined, &sweeps, &support);
+        let of_tubes: Vec<Vec<(DVec3, bool)>> = sweeps.iter().map(flattened).collect();
+        let flat = joined.origin.iter().zip(&joined.surface.nodes_mm).map(|(origin, &p)| match *origin {
+            Origin::Grid { tube, node } => of_tubes[tube][node],
+            Origin::Parting { .. } => (p, false),
+        });
+        let flat = flat.collect();
+        let mut whole = with_arrays(joined, &sweeps, &support);
+        let of: Vec<&Sweep> = sweeps.iter().collect();
+        let mouths = open_mouths(&mut whole, flat, &of, &echoes)?;
         let seconds = BranchesTimings { tree: tree_s, join: join_s, fit: start.elapsed().as_secs_f64() };
         let report = BranchesReport::of(recording, &tree, &sweeps, &whole, unsewn, seconds);
-        Ok(Some(Self { tree, sweeps, report, whole }))
+        Ok(Some(Self { tree, sweeps, mouths, report, whole }))
     }
 
     /// The vessel as one triangle surface, normals outward, open at its ends; without the nodes that are not supported,
@@ -96,6 +110,69 @@ impl BranchedSweep {
     pub fn surface(&self, keep_unsupported: bool) -> Surface {
         if keep_unsupported { self.whole.clone() } else { supported_part(&self.whole) }
     }
+}
+
+/// Finds the mouths in the wall of a single sweep; its nodes within them are no longer supported.
+///
+/// # Errors
+/// [`Error::Surface`] where the sweep's wall is no surface.
+pub(crate) fn open_mouths_of(
+    recording: &Recording,
+    settings: &Settings,
+    sweep: &mut Sweep,
+) -> Result<Vec<Mouth>> {
+    if sweep.report.off_wall == 0 {
+        return Ok(Vec::new());
+    }
+    let is_folded = |k: usize| sweep.report.folded_frames.contains(&recording.number(k));
+    let echoes = world_echoes(recording, settings, |k| !is_folded(k));
+    let mut whole = sweep.surface(true);
+    let mouths = open_mouths(&mut whole, flattened(sweep), &[sweep], &echoes)?;
+    if let Some(supported) = whole.array("supported").filter(|_| !mouths.is_empty()) {
+        let is_supported = supported.iter().map(|&is| is > 0.5);
+        sweep.support.supported = is_supported.collect();
+        sweep.report.supported = sweep.support.supported.iter().filter(|is| **is).count();
+    }
+    Ok(mouths)
+}
+
+/// The nodes of a sweep's wall without its bulges, mm, and whether each is moved.
+fn flattened(sweep: &Sweep) -> Vec<(DVec3, bool)> {
+    let tube = Tube::of(sweep);
+    let radii = mouths::flattened(&tube, sweep.report.contour_radius_mm, sweep.report.noise_mm);
+    let place = |(node, (radius_mm, moved)): (usize, (f64, bool))| {
+        let theta_rad = TAU * (node % sweep.nodes) as f64 / sweep.nodes as f64;
+        (sweep.axis.point_mm(node / sweep.nodes, theta_rad, radius_mm), moved)
+    };
+    radii.into_iter().enumerate().map(place).collect()
+}
+
+/// Finds the mouths in a whole wall, which is `flat` without its bulges; its nodes within them are no longer supported.
+fn open_mouths(
+    whole: &mut Surface,
+    flat: Vec<(DVec3, bool)>,
+    sweeps: &[&Sweep],
+    echoes: &[WorldEcho],
+) -> Result<Vec<Mouth>> {
+    let nodes = whole.nodes_mm.len();
+    let (nodes_mm, is_bulging) = flat.into_iter().unzip();
+    let surface = Surface { nodes_mm, triangles: whole.triangles.clone(), arrays: Vec::new() };
+    let wall = mouths::Wall {
+        surface: &surface,
+        is_bulging,
+        branch: whole
+            .array("branch")
+            .map_or_else(|| vec![0; nodes], |of| of.iter().map(|&branch| branch as usize).collect()),
+        noise_mm: sweeps.iter().map(|sweep| sweep.report.noise_mm).collect(),
+        radius_mm: sweeps.iter().map(|sweep| sweep.report.contour_radius_mm).collect(),
+    };
+    let (mouths, within): (Vec<Mouth>, Vec<Vec<u32>>) = mouths::find(&wall, echoes)?.into_iter().unzip();
+    if !mouths.is_empty() {
+        let mut supported = whole.array("supported").unwrap_or_default().to_vec();
+        within.into_iter().flatten().for_each(|node| supported[node as usize] = 0.0);
+        whole.set_array("supported", supported);
+    }
+    Ok(mouths)
 }
 
 /// The supported nodes of a joined surface, but small parts of them.
@@ -153,19 +230,28 @@ fn tube_fit(sweep: &Sweep) -> TubeFit<'_> {
     }
 }
 
-/// The echoes of the frames that belong to a branch, in the world.
-fn world_echoes(recording: &Recording, tree: &BranchTree, settings: &Settings) -> Vec<WorldEcho> {
+/// The echoes of the frames that are used, in the world.
+fn world_echoes(
+    recording: &Recording,
+    settings: &Settings,
+    is_used: impl Fn(usize) -> bool + Sync + Send,
+) -> Vec<WorldEcho> {
     let sensor_from_probe = settings.calibration.sensor_from_probe();
-    let frames = recording.frames.par_iter().enumerate().zip(&tree.frame_branch);
-    let used = frames.filter(|(_, branch)| branch.is_some());
-    used.flat_map_iter(|((k, frame), _)| {
+    let used = recording.frames.par_iter().enumerate().filter(|(k, _)| is_used(*k));
+    used.flat_map_iter(|(k, frame)| {
         let pose = frame.world_from_sensor * sensor_from_probe;
         // Contours that do not go round the probe are seen from their middle.
         let origin =
             if goes_round_probe(frame) { DVec2::ZERO } else { frame.centroid_mm().unwrap_or(DVec2::ZERO) };
         let place = move |p: DVec2| pose.transform_point(p.extend(0.0));
         let origin_mm = place(origin);
-        frame.echoes_mm().map(move |p| WorldEcho { origin_mm, point_mm: place(p), frame: k as u32 })
+        let image_normal = pose.rotation.z_axis;
+        frame.echoes_mm().map(move |p| WorldEcho {
+            origin_mm,
+            point_mm: place(p),
+            image_normal,
+            frame: k as u32,
+        })
     })
     .collect()
 }

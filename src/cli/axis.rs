@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 ///
 /// The surface may be open or closed at its ends; it need not come from here. Arrays of the polylines: Abscissas (length
 /// along the axis), MaximumInscribedSphereRadius (distance to the wall), CenterlineSectionArea, EquivalentRadius,
-/// Curvature, Torsion, FrenetTangent, ParallelTransportNormals, BranchId, SectionClosed.
+/// Curvature, Torsion, FrenetTangent, ParallelTransportNormals, BranchId, SectionClosed, BifurcationOf (the branch that leaves
+/// the axis there).
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   lumenmesh axis vessel.vtp -o axis.vtp

@@ -1,7 +1,8 @@
 use super::space::{SpaceArgument, axes, can_carry_arrays};
 use super::{Shown, print_json, read_screened, refuse_inputs};
 use crate::evaluate::{
-    Coverage, DEFINITIONS, Distances, Evaluation, Region, Truth, Volumes, evaluate, evaluate_covered,
+    Coverage, DEFINITIONS, Distances, Evaluation, PartErrors, Region, Truth, Volumes, evaluate,
+    evaluate_covered,
 };
 use crate::settings::Settings;
 use crate::simulate::Centreline;
@@ -203,6 +204,23 @@ impl Arguments {
             None => "; for branched vessels, --recording gives a better rule",
         };
         println!("truth→mesh counts nodes of the truth where {}{doubt}.", evaluation.covered_rule);
+        if !evaluation.branches.is_empty() {
+            println!();
+            println!(
+                "{:<22}{:>8}{:>10}{:>10}{:>10}{:>10}{:>16}",
+                "branch by branch", "nodes", "mean", "95 %", "largest", "signed", "truth ≤ 1 mm"
+            );
+        }
+        let part = |name: String, errors: &PartErrors| {
+            let PartErrors { mesh_to_truth: d, signed_mean_mm, within_1_mm, .. } = errors;
+            let near = within_1_mm.map_or_else(|| "-".into(), |share| format!("{:.1} %", 100.0 * share));
+            println!(
+                "{name:<22}{:>8}{:>10.4}{:>10.4}{:>10.4}{signed_mean_mm:>10.4}{near:>16}",
+                d.nodes, d.mean_mm, d.p95_mm, d.max_mm
+            );
+        };
+        evaluation.branches.iter().for_each(|of| part(format!("branch {}", of.branch), &of.errors));
+        evaluation.partings.iter().for_each(|errors| part("about partings".into(), errors));
         if !regions.is_empty() {
             println!();
             println!(

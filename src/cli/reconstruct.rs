@@ -2,7 +2,7 @@ use super::settings::SettingsArguments;
 use super::space::SpaceArgument;
 use super::{Shown, print_json, progress, refuse_inputs};
 use crate::anatomy::{VesselTree, check_axis_ending};
-use crate::branching::BranchesReport;
+use crate::branching::{BranchesReport, Mouth};
 use crate::cylinders::{CylindersReport, write_cylinders};
 use crate::engine::EngineDescription;
 use crate::reconstruction::{Lumen, LumenReport, Reconstructor, Summary};
@@ -90,6 +90,7 @@ impl Arguments {
             return print_json(&Output { recording, mesh, summary: lumen.summary() });
         }
         print_report(report);
+        print_mouths(lumen.mouths());
         print_screening(lumen.screening());
         println!("mesh       {}", self.output.display());
         if let Some(path) = &self.axis {
@@ -293,6 +294,27 @@ fn print_branches(report: &BranchesReport) {
         seconds.join * 1e3,
         seconds.fit * 1e3
     );
+}
+
+/// The mouths of branches that were seen but not entered.
+pub(super) fn print_mouths(mouths: &[Mouth]) {
+    for mouth in mouths {
+        let (at, to) = (mouth.centre_mm, mouth.direction);
+        println!(
+            "mouth      at ({:.1}, {:.1}, {:.1}) ± {:.1} mm in branch {}, {:.0} ± {:.0} mm²; not entered",
+            at.x,
+            at.y,
+            at.z,
+            mouth.centre_standard_error_mm,
+            mouth.branch,
+            mouth.area_mm2,
+            mouth.area_standard_error_mm2
+        );
+        println!(
+            "           leads to ({:.2}, {:.2}, {:.2}) ± {:.0}°, seen {:.1} mm deep in {} frames",
+            to.x, to.y, to.z, mouth.direction_standard_error_deg, mouth.depth_mm, mouth.frames
+        );
+    }
 }
 
 /// Errors of the tracker.

@@ -1,4 +1,4 @@
-use super::reconstruct::{lumen, print_report, print_screening};
+use super::reconstruct::{lumen, print_mouths, print_report, print_screening};
 use super::settings::SettingsArguments;
 use super::{Shown, print_json, refuse_inputs};
 use crate::evaluate::{Coverage, Truth, evaluate_covered};
@@ -76,6 +76,7 @@ impl Arguments {
             }));
         }
         print_report(lumen.report());
+        print_mouths(lumen.mouths());
         print_screening(lumen.screening());
         if let Some(evaluation) = &evaluation {
             println!("error      {:.4} mm (mean, nodes to truth)", evaluation.mesh_to_truth.mean_mm);

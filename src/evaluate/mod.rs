@@ -3,12 +3,14 @@
 //! The thesis prints several "overall errors" without defining them. Here every number has its definition in
 //! [`DEFINITIONS`], which the command prints in its help and its JSON.
 
+mod branches;
 mod coverage;
 mod region;
 mod systematic;
 mod volume;
 
 pub use crate::surface::{Closest, Locator};
+pub use branches::{BranchErrors, PartErrors};
 pub use coverage::Coverage;
 pub use region::Region;
 pub use systematic::SystematicErrors;
@@ -19,7 +21,7 @@ use crate::{Error, Result};
 use serde::Serialize;
 
 /// What each number of an [`Evaluation`] means, by its name there.
-pub const DEFINITIONS: [(&str, &str); 8] = [
+pub const DEFINITIONS: [(&str, &str); 9] = [
     (
         "mesh_to_truth",
         "over the mesh's nodes, each counting once: distance to the nearest point of the truth's triangles; its mean is the fitting error",
@@ -45,6 +47,11 @@ pub const DEFINITIONS: [(&str, &str); 8] = [
     (
         "regions",
         "the mesh's nodes by their nearest point on the truth's centreline, in stretches of it: as mesh_to_truth",
+    ),
+    (
+        "branches, partings",
+        "of a mesh with the node array branch: its nodes branch by branch, and those nearer to the border between two branches than \
+         the border is wide from its middle; the covered truth that is nearest to them, and the share of its area within 1 mm",
     ),
     (
         "volumes",
@@ -152,6 +159,10 @@ pub struct Evaluation {
     pub covered_rule: String,
     /// The largest distance of both directions, mm.
     pub hausdorff_mm: f64,
+    /// The errors of each branch, where the mesh's array `branch` names several.
+    pub branches: Vec<BranchErrors>,
+    /// The errors about the partings of the branches.
+    pub partings: Option<PartErrors>,
     /// Reasons to doubt these numbers, in words.
     pub warnings: Vec<String>,
     /// Distance of each mesh node, mm.
@@ -219,6 +230,9 @@ fn measure(mesh: &Surface, truth: &Truth, coverage: Option<&Coverage>) -> Result
         truth_areas.iter().enumerate().map(|(n, &area)| if is_covered(n) { area } else { 0.0 }).collect();
     let back_mm: Vec<f64> = back.iter().map(|c| c.distance_mm).collect();
     let truth_to_mesh = Distances::of(&back_mm, &covered);
+    let parts =
+        branches::Measured { mesh, signed_error_mm: &signed_error_mm, back: &back, covered_mm2: &covered };
+    let (branches, partings) = parts.branches();
     Ok(Evaluation {
         hausdorff_mm: truth_to_mesh.map_or(0.0, |back| back.max_mm).max(mesh_to_truth.max_mm),
         mesh_to_truth,
@@ -230,6 +244,8 @@ fn measure(mesh: &Surface, truth: &Truth, coverage: Option<&Coverage>) -> Result
             || "the nearest point of the mesh is not on an open rim of it".into(),
             |coverage| format!("a contour point of the recording lies within {} mm", coverage.within_mm),
         ),
+        branches,
+        partings,
         warnings: doubts(mesh, &truth.surface),
         error_mm,
         signed_error_mm,

@@ -7,7 +7,7 @@ mod snapshot;
 
 pub use live::{Change, Live, Times, Work};
 
-use crate::branching::{BranchedSweep, BranchesReport};
+use crate::branching::{self, BranchedSweep, BranchesReport, Mouth};
 use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, engine};
 use crate::recording::{Recording, Screened, Screening};
 use crate::settings::{Branches, Method, Settings};
@@ -118,7 +118,16 @@ impl<'a> Reconstructor<'a> {
                 };
                 match branched {
                     Some(branched) => Vessel::Branches(branched),
-                    None => Vessel::Sweep(Sweep::run(recording, &self.settings, &tell).map_err(named)?),
+                    None => {
+                        let mut sweep = Sweep::run(recording, &self.settings, &tell).map_err(named)?;
+                        let mouths = match self.settings.sweep.branches {
+                            Branches::Auto => {
+                                branching::open_mouths_of(recording, &self.settings, &mut sweep)?
+                            }
+                            Branches::Off => Vec::new(),
+                        };
+                        Vessel::Sweep(sweep, mouths)
+                    }
                 }
             }
         };
@@ -149,7 +158,7 @@ pub struct Lumen {
 #[derive(Debug, Clone)]
 enum Vessel {
     Cylinders(CylinderReconstruction),
-    Sweep(Sweep),
+    Sweep(Sweep, Vec<Mouth>),
     Branches(BranchedSweep),
 }
 
@@ -174,7 +183,9 @@ pub struct Summary<'a> {
     pub settings: &'a Settings,
     /// The frames that were left out, and why.
     pub screening: &'a Screening,
-    /// What was done, in numbers; in JSON beside the two above.
+    /// The mouths of branches that were seen but not entered, where the method looks for them.
+    pub mouths: &'a [Mouth],
+    /// What was done, in numbers; in JSON beside those above.
     #[serde(flatten)]
     pub report: LumenReport<'a>,
 }
@@ -182,7 +193,22 @@ pub struct Summary<'a> {
 impl Lumen {
     /// Settings, screening and report as one thing to serialise.
     pub fn summary(&self) -> Summary<'_> {
-        Summary { settings: &self.settings, screening: &self.screening, report: self.report() }
+        Summary {
+            settings: &self.settings,
+            screening: &self.screening,
+            mouths: self.mouths(),
+            report: self.report(),
+        }
+    }
+
+    /// The mouths of branches that were seen but not entered; the surface is open there. None of cylinders, and where
+    /// branches are not looked for.
+    pub fn mouths(&self) -> &[Mouth] {
+        match &self.vessel {
+            Vessel::Cylinders(_) => &[],
+            Vessel::Sweep(_, mouths) => mouths,
+            Vessel::Branches(branched) => &branched.mouths,
+        }
     }
 
     /// The settings that it was reconstructed with.
@@ -200,7 +226,7 @@ impl Lumen {
     pub fn surface(&self) -> Surface {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => cylinders.vessel.surface(),
-            Vessel::Sweep(sweep) => sweep.surface(self.settings.sweep.keep_unsupported),
+            Vessel::Sweep(sweep, _) => sweep.surface(self.settings.sweep.keep_unsupported),
             Vessel::Branches(branched) => branched.surface(self.settings.sweep.keep_unsupported),
         }
     }
@@ -209,7 +235,7 @@ impl Lumen {
     pub fn report(&self) -> LumenReport<'_> {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => LumenReport::Cylinders(&cylinders.report),
-            Vessel::Sweep(sweep) => LumenReport::Sweep(&sweep.report),
+            Vessel::Sweep(sweep, _) => LumenReport::Sweep(&sweep.report),
             Vessel::Branches(branched) => LumenReport::Branches(&branched.report),
         }
     }
@@ -218,14 +244,14 @@ impl Lumen {
     pub fn cylinders(&self) -> Option<&CylinderReconstruction> {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => Some(cylinders),
-            Vessel::Sweep(_) | Vessel::Branches(_) => None,
+            Vessel::Sweep(..) | Vessel::Branches(_) => None,
         }
     }
 
     /// Axis, radii and support of the sweep; `None` of cylinders, and of a vessel that branches.
     pub fn sweep(&self) -> Option<&Sweep> {
         match &self.vessel {
-            Vessel::Sweep(sweep) => Some(sweep),
+            Vessel::Sweep(sweep, _) => Some(sweep),
             Vessel::Cylinders(_) | Vessel::Branches(_) => None,
         }
     }
@@ -234,7 +260,7 @@ impl Lumen {
     pub fn branches(&self) -> Option<&BranchedSweep> {
         match &self.vessel {
             Vessel::Branches(branched) => Some(branched),
-            Vessel::Cylinders(_) | Vessel::Sweep(_) => None,
+            Vessel::Cylinders(_) | Vessel::Sweep(..) => None,
         }
     }
 }

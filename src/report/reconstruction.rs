@@ -7,10 +7,12 @@ use super::rows::{VIOLIN, facts};
 use super::{anatomy, branches, cylinders, sweep};
 use crate::Result;
 use crate::anatomy::VesselTree;
+use crate::branching::Mouth;
 use crate::evaluate::{self, Evaluation, SystematicErrors, Truth};
 use crate::reconstruction::{Lumen, LumenReport};
 use crate::recording::{LeftOut, MinMedianMax, Recording, Summary};
 use crate::surface::Surface;
+use glam::DVec3;
 
 /// The content of a page.
 #[non_exhaustive]
@@ -60,6 +62,9 @@ pub fn html(content: &PageContent) -> Result<String> {
         Some((_, evaluation)) => {
             page.heading("Error");
             page.table(&error_table(evaluation));
+            if !evaluation.branches.is_empty() {
+                page.table(&branch_table(evaluation));
+            }
             let violin = |name: &str, values: &[f64]| Violin { name: name.into(), values: values.to_vec() };
             let svg = violins(
                 "distance (mm)",
@@ -148,6 +153,15 @@ fn summary(page: &mut Page, content: &PageContent) {
         LumenReport::Branches(report) => branches::summary_rows(report),
     });
     page.table(&facts(rows));
+    let mouths = content.lumen.mouths();
+    if !mouths.is_empty() {
+        page.heading("Mouths");
+        page.paragraph(
+            "Branches that were seen but not entered. The surface is open there. Standard errors are those of leaving out \
+             frames.",
+        );
+        page.table(&mouth_table(mouths));
+    }
     if !screening.left_out.is_empty() {
         page.heading("Frames left out");
         page.paragraph(&format!(
@@ -206,6 +220,26 @@ fn systematic(page: &mut Page, content: &PageContent, mesh: &Surface) -> Result<
     Ok(())
 }
 
+fn mouth_table(mouths: &[Mouth]) -> Table {
+    let place = |p: DVec3, decimals: usize| p.to_array().map(|x| format!("{x:.decimals$}")).join(", ");
+    let row = |mouth: &Mouth| {
+        vec![
+            mouth.branch.to_string(),
+            format!("({}) ± {:.1}", place(mouth.centre_mm, 1), mouth.centre_standard_error_mm),
+            format!("{:.0} ± {:.0}", mouth.area_mm2, mouth.area_standard_error_mm2),
+            format!("({}) ± {:.0}°", place(mouth.direction, 2), mouth.direction_standard_error_deg),
+            format!("{:.1}", mouth.depth_mm),
+            mouth.frames.to_string(),
+        ]
+    };
+    let head = ["in branch", "centre (mm)", "area (mm²)", "leads to", "seen deep (mm)", "frames"];
+    Table {
+        head: head.map(String::from).to_vec(),
+        rows: mouths.iter().map(row).collect(),
+        ..Table::default()
+    }
+}
+
 /// Runs of frames that are left out for the same reason.
 fn left_out_table(left_out: &[LeftOut]) -> Table {
     let runs: Vec<&[LeftOut]> = left_out
@@ -230,6 +264,24 @@ fn left_out_table(left_out: &[LeftOut]) -> Table {
 
 /// Runs of frames that the page lists.
 const MAX_ROWS: usize = 50;
+
+/// The errors of each branch, and about the partings.
+fn branch_table(evaluation: &Evaluation) -> Table {
+    let row = |name: String, errors: &evaluate::PartErrors| {
+        let d = &errors.mesh_to_truth;
+        let near = errors.within_1_mm.map_or_else(|| "-".into(), |share| format!("{:.1} %", 100.0 * share));
+        let [mean, p95, signed] = [d.mean_mm, d.p95_mm, errors.signed_mean_mm].map(|mm| format!("{mm:.4}"));
+        vec![name, d.nodes.to_string(), mean, p95, signed, near]
+    };
+    let branches = evaluation.branches.iter().map(|of| row(format!("branch {}", of.branch), &of.errors));
+    let partings = evaluation.partings.iter().map(|errors| row("about partings".into(), errors));
+    let head = ["", "nodes", "mean (mm)", "95th percentile (mm)", "signed mean (mm)", "truth within 1 mm"];
+    Table {
+        head: head.map(String::from).to_vec(),
+        rows: branches.chain(partings).collect(),
+        ..Table::default()
+    }
+}
 
 fn error_table(evaluation: &Evaluation) -> Table {
     let back = evaluation.truth_to_mesh.as_ref();

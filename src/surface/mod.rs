@@ -1,5 +1,6 @@
 //! Triangle surfaces with arrays over their nodes, and their file formats.
 
+mod clip;
 pub(crate) mod crossing;
 mod cut;
 mod formats;

@@ -2,8 +2,9 @@
 
 use crate::support::vessel::{bits, coverage, mean_error_mm, simulated};
 use crate::support::{lumenmesh, python_with};
+use lumenmesh::anatomy::VesselTree;
 use lumenmesh::branching::BranchTree;
-use lumenmesh::evaluate::Locator;
+use lumenmesh::evaluate::{Locator, Truth, evaluate};
 use lumenmesh::geometry::Pose;
 use lumenmesh::glam::DVec3;
 use lumenmesh::reconstruction::{Lumen, LumenReport, Reconstructor};
@@ -12,7 +13,7 @@ use lumenmesh::settings::{Branches, Settings};
 use lumenmesh::simulate::{
     Insertion, Move, Noise, Phantom, Probe, Shape, Simulation, SimulationSettings, Visit,
 };
-use lumenmesh::surface::Surface;
+use lumenmesh::surface::{Space, Surface};
 
 fn swept(recording: &Recording, branches: Branches) -> Lumen {
     let mut settings = Settings::default();
@@ -77,6 +78,27 @@ fn visited_branches_become_one_surface() {
 
         let branch = surface.array("branch").unwrap();
         assert!(visits.iter().all(|&b| branch.contains(&(b as f64))), "{shape}");
+
+        // The mesh alone shows as many branches, and each but the first leaves another at a node of its axis.
+        let tree = VesselTree::of(&surface).unwrap();
+        assert_eq!(tree.axes.len(), visits.len(), "{shape}");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("axis.vtp");
+        tree.write(&surface, &path, Space::Ras).unwrap();
+        let text = String::from_utf8_lossy(&std::fs::read(&path).unwrap()).into_owned();
+        assert!(text.contains("BifurcationOf"), "{shape}");
+
+        // The errors of the branches and of the partings are those of the whole in parts.
+        let evaluation = evaluate(&surface, &Truth::new(wall.clone()).unwrap()).unwrap();
+        assert_eq!(evaluation.branches.len(), visits.len(), "{shape}");
+        let nodes: usize = evaluation.branches.iter().map(|of| of.errors.mesh_to_truth.nodes).sum();
+        assert_eq!(nodes, evaluation.mesh_to_truth.nodes, "{shape}");
+        let partings = evaluation.partings.unwrap();
+        println!(
+            "{shape}: about the partings {:.3} mm, {:.3} mm",
+            partings.mesh_to_truth.mean_mm, partings.mesh_to_truth.p95_mm
+        );
+        assert!(partings.mesh_to_truth.nodes < nodes / 2, "{shape}");
     }
 }
 

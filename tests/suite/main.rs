@@ -39,6 +39,8 @@ mod mcap;
 mod mesh_files;
 mod method;
 #[cfg(feature = "cli")]
+mod mouths;
+#[cfg(feature = "cli")]
 mod ndjson;
 mod openigtlink;
 #[cfg(all(feature = "cli", unix))]

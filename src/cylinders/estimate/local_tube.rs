@@ -6,15 +6,15 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 /// Number of parameters of a [`LocalTube`], in the order of [`Change`].
-pub(super) const PARAMETERS: usize = 12;
+pub(crate) const PARAMETERS: usize = 12;
 
 /// Changes of the parameters: centre (2, mm), slope (2), bend (2, 1/mm), radius (mm), taper, oval (2, mm) and lobes (2, mm).
-pub(super) type Change = [f64; PARAMETERS];
+pub(crate) type Change = [f64; PARAMETERS];
 
 /// A short tube that bends, tapers and is not quite round. In its own coordinates, the axis is the parabola (b z²/2, z) and
 /// the radius is R + t z + o·(cos 2φ, sin 2φ) + l·(cos 3φ, sin 3φ).
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-pub(super) struct LocalTube {
+pub(crate) struct LocalTube {
     /// Origin on the tube's axis, z along it.
     pub world_from_axis: Pose,
     /// b: the axis's curvature at the origin.
@@ -26,7 +26,7 @@ pub(super) struct LocalTube {
 }
 
 /// The residual of an echo from the wall of a tube.
-pub(super) struct TubeResidual {
+pub(crate) struct TubeResidual {
     /// Distance outside the wall along its normal, mm.
     pub distance_mm: f64,
     /// Variance of that distance, in units of the echo's variance within its image plane.

@@ -1,7 +1,7 @@
 //! Estimates of the local cylinder of a frame: the straight piece of vessel about it, for recordings that carry none.
 
 mod follow;
-mod local_tube;
+pub(crate) mod local_tube;
 mod unscented;
 mod upright;
 mod window;
