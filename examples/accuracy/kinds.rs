@@ -1,5 +1,6 @@
 //! Errors that laboratories meet: all kinds, in several vessels, by all methods, beside Poisson reconstruction.
 
+use super::certainty::Certainty;
 use super::{COVERED_MM, echoes_mm, poisson, python, replace_table, simulated_vessel};
 use glam::DVec3;
 use lumenmesh::Result;
@@ -43,23 +44,33 @@ pub(super) fn run(wanted: Option<&str>) -> Result<()> {
     Ok(())
 }
 
+/// A recording with that kind of error, or with independent noise only, of 72 rays in a frame.
+pub(super) fn simulated(
+    kind: Option<FaultKind>,
+    vessel: &str,
+    insertion: Insertion,
+    seed: u64,
+) -> Result<Simulation> {
+    let vessel = simulated_vessel(vessel)?;
+    let radius_mm = vessel.branches()[0].median_radius_mm();
+    let noise = Noise::default().with_seed(seed).with_contour_sd_mm(radius_mm / 10.0);
+    let mut settings = simulate::SimulationSettings::default()
+        .with_insertion(insertion)
+        .with_probe(Probe::default().with_rays(72))
+        .with_noise(noise.with_position_sd_mm(0.03 * radius_mm));
+    if let Some(kind) = kind {
+        kind.apply(&mut settings, radius_mm);
+    }
+    Simulation::run(vessel, &settings)
+}
+
 fn row(
     name: &str,
     kind: Option<FaultKind>,
     (short, vessel, speed_mm_s): (&str, &str, f64),
     python: Option<&str>,
 ) -> Result<String> {
-    let vessel = simulated_vessel(vessel)?;
-    let radius_mm = vessel.branches()[0].median_radius_mm();
-    let noise = Noise::default().with_seed(7).with_contour_sd_mm(radius_mm / 10.0);
-    let mut settings = simulate::SimulationSettings::default()
-        .with_insertion(Insertion::steady().with_speed_mm_s(speed_mm_s))
-        .with_probe(Probe::default().with_rays(72))
-        .with_noise(noise.with_position_sd_mm(0.03 * radius_mm));
-    if let Some(kind) = kind {
-        kind.apply(&mut settings, radius_mm);
-    }
-    let simulation = Simulation::run(vessel, &settings)?;
+    let simulation = simulated(kind, vessel, Insertion::steady().with_speed_mm_s(speed_mm_s), 7)?;
     let truth = Truth::new(simulation.vessel.surface().clone())?;
     let wall_mm = echoes_mm(&simulation.truth_recording);
     let recording = &simulation.recording;
@@ -80,7 +91,7 @@ fn row(
             }
         }
     }
-    let (far, shares, rank) = certain.map_or(("-".into(), "-".into(), "-".into()), |c| c.cells());
+    let [far, shares, rank] = certain.map_or([(); 3].map(|()| "-".into()), |c| c.cells());
     let poisson = best
         .as_ref()
         .map_or("not run".into(), |(depth, d)| format!("{depth}: {:.3}; {:.2}", d.mean_mm, d.p95_mm));
@@ -106,58 +117,4 @@ fn cell(surface: Result<Surface>, truth: &Truth, wall_mm: &[DVec3]) -> String {
         Ok(format!("{:.3}; {:.2}; {:.1} %", distances.mean_mm, distances.p95_mm, 100.0 * covered))
     });
     measured.unwrap_or_else(|_| "refused".into())
-}
-
-/// How far the standard errors of the supported nodes of a sweep hold.
-struct Certainty {
-    /// Share of the nodes more than 1 mm off the wall.
-    far: f64,
-    /// Shares of the nodes within 1, 2 and 3 standard errors of the wall.
-    within: [f64; 3],
-    /// Rank correlation (Spearman's) of the distances and the standard errors.
-    rank: f64,
-}
-
-impl Certainty {
-    fn of(surface: &Surface, truth: &Truth) -> Result<Self> {
-        let error_mm = evaluate(surface, truth)?.error_mm;
-        let array = |name| surface.array(name).unwrap_or_default();
-        let (supported, standard) = (array("supported"), array("standard_error_mm"));
-        let nodes: Vec<(f64, f64)> = (0..error_mm.len())
-            .filter(|&node| supported.get(node).is_some_and(|&s| s > 0.0))
-            .map(|node| (error_mm[node].abs(), standard[node]))
-            .collect();
-        let share = |is: &dyn Fn(&(f64, f64)) -> bool| {
-            nodes.iter().filter(|node| is(node)).count() as f64 / nodes.len().max(1) as f64
-        };
-        Ok(Self {
-            far: share(&|&(error, _)| error > 1.0),
-            within: [1.0, 2.0, 3.0].map(|times| share(&|&(error, standard)| error <= times * standard)),
-            rank: rank_correlation(&nodes),
-        })
-    }
-
-    fn cells(&self) -> (String, String, String) {
-        let [one, two, three] = self.within.map(|share| 100.0 * share);
-        (
-            format!("{:.1} %", 100.0 * self.far),
-            format!("{one:.0}; {two:.0}; {three:.0} %"),
-            format!("{:.2}", self.rank),
-        )
-    }
-}
-
-/// The correlation of the ranks of pairs.
-fn rank_correlation(pairs: &[(f64, f64)]) -> f64 {
-    let ranks = |value: &dyn Fn(usize) -> f64| {
-        let mut order: Vec<usize> = (0..pairs.len()).collect();
-        order.sort_by(|&a, &b| value(a).total_cmp(&value(b)).then(a.cmp(&b)));
-        let mut ranks = vec![0.0; pairs.len()];
-        order.iter().enumerate().for_each(|(rank, &i)| ranks[i] = rank as f64);
-        ranks
-    };
-    let (a, b) = (ranks(&|i| pairs[i].0), ranks(&|i| pairs[i].1));
-    let n = pairs.len() as f64;
-    let apart: f64 = a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum();
-    1.0 - 6.0 * apart / (n * (n * n - 1.0))
 }

@@ -6,12 +6,15 @@
 //! cargo run --release --example accuracy aorta      # rows with that in their names; prints only
 //! cargo run --release --example accuracy -- --kinds       # errors that laboratories meet; writes their table
 //! cargo run --release --example accuracy -- --kinds ring  # kinds with that in their names; prints only
+//! cargo run --release --example accuracy -- --standard-errors       # whether standard errors hold, all kinds
+//! cargo run --release --example accuracy -- --standard-errors drift # those kinds; prints only
 //! ```
 //!
 //! `LUMENMESH_SHARED` names the folder with `recordings/` and `data/` (default: `../shared`), `LUMENMESH_PYTHON` a
 //! Python with Open3D (default: `python3`); without it Poisson is not run. Exit status: 0 where the sweep's mean
 //! distance is at most 0.8 times Poisson's in every row, else 1.
 
+mod certainty;
 #[path = "../../tests/support/data.rs"]
 mod data;
 mod kinds;
@@ -77,6 +80,7 @@ fn main() -> ExitCode {
     let (first, second) = (std::env::args().nth(1), std::env::args().nth(2));
     let done = match first.as_deref() {
         Some("--kinds") => kinds::run(second.as_deref()).map(|()| true),
+        Some("--standard-errors") => certainty::run(second.as_deref()).map(|()| true),
         wanted => run(wanted),
     };
     match done {

@@ -111,6 +111,9 @@ pub(super) fn print_screening(screening: &Screening) {
     if let Some(ring_down) = screening.ring_down {
         println!("ring-down  {ring_down}");
     }
+    if let Some(chords) = screening.chords {
+        println!("chords     {chords}");
+    }
     if screening.sorted_frames > 0 {
         println!("order      points of {} contours sorted about their centres", screening.sorted_frames);
     }
@@ -331,7 +334,20 @@ fn print_errors(errors: &sweep::RecordingErrors) {
             forgotten(contour.correlation_s)
         );
     }
+    for beat in &errors.beats {
+        let what = if beat.is_shift { "frames shifted an axis" } else { "the lumen's radius changed" };
+        print!("; {what} by {:.3} mm at {:.2} Hz", beat.sd_mm, beat.frequency_hz);
+    }
     println!();
+    if let Some(mm) = errors.rest_mm() {
+        println!(
+            "           the wall is that of the mean place; at the ends of the beat it lies {mm:.3} mm an axis beside"
+        );
+    }
+    println!(
+        "           errors that are alike for more than {:.1} s do not show: no place was seen for longer (median)",
+        errors.seen_for_s
+    );
     println!("           the wall is as rough as {:.3}, measured as --roughness is", errors.roughness);
 }
 

@@ -22,8 +22,10 @@ pub(crate) use formats::Table;
 pub use formats::ndjson::{BadLine, FrameLines};
 pub use mask::{MaskContour, MaskFound, MaskOptions, Masks};
 pub use pullback::{Pullback, PullbackOptions, PullbackPath};
+pub use screening::{
+    Chords, FixedChord, LeftOut, NoEcho, Reason, RingDown, Screened, Screening, UnfitFrames,
+};
 pub(crate) use screening::{Judged, LiveScreening};
-pub use screening::{LeftOut, NoEcho, Reason, RingDown, Screened, Screening, UnfitFrames};
 pub use sequence::{
     CONTOUR_X, CONTOUR_Y, Image, PixelType, Sequence, SequenceContents, SequenceImages, TransformContents,
 };

@@ -1,5 +1,5 @@
 use super::finding::{Finding, Findings};
-use super::screening::{NoEcho, Reason, RingDown, Screening};
+use super::screening::{Chords, NoEcho, Reason, RingDown, Screening};
 use super::{Frame, Recording};
 use serde::Serialize;
 use std::fmt;
@@ -44,6 +44,8 @@ pub struct Summary {
     pub no_echo: Vec<NoEcho>,
     /// Echoes of the catheter itself, which it takes for missing ones.
     pub ring_down: Option<RingDown>,
+    /// Straight lines across shadows, whose points it takes for missing echoes.
+    pub chords: Option<Chords>,
     /// Frames whose contours have no order, whose points it sorts.
     pub sorted_frames: usize,
     /// Defects and what is suspicious, one entry per kind.
@@ -118,6 +120,7 @@ impl Summary {
             left_out: screening.left_out.len(),
             no_echo: screening.no_echo,
             ring_down: screening.ring_down,
+            chords: screening.chords,
             sorted_frames: screening.sorted_frames,
         }
     }
@@ -188,6 +191,9 @@ impl fmt::Display for Summary {
         }
         if let Some(ring_down) = self.ring_down {
             writeln!(f, "ring-down       {ring_down}")?;
+        }
+        if let Some(chords) = self.chords {
+            writeln!(f, "chords          {chords}")?;
         }
         if self.sorted_frames > 0 {
             writeln!(

@@ -95,6 +95,19 @@ pub(super) fn noise(page: &mut Page, sweep: &Sweep) -> Result<()> {
             let value = format!("{:.3} mm, alike over {width_deg:.0}°{}", contour.sd_mm, alike(contour));
             rows.push(("errors of the contours", value));
         }
+        for beat in &errors.beats {
+            let what =
+                if beat.is_shift { "shifts of whole frames, beating" } else { "the lumen's radius, beating" };
+            rows.push((what, format!("{:.3} mm at {:.2} Hz", beat.sd_mm, beat.frequency_hz)));
+        }
+        if let Some(mm) = errors.rest_mm() {
+            rows.push((
+                "place at the ends of a beat",
+                format!("{mm:.3} mm an axis beside the mean, which the wall is of"),
+            ));
+        }
+        let hidden = format!("that last longer than {:.1} s, for which a place was seen", errors.seen_for_s);
+        rows.push(("errors that do not show", hidden));
         rows.push(("roughness of the wall", format!("{:.3}", errors.roughness)));
     }
     page.table(&facts(rows));

@@ -15,7 +15,7 @@ mod surface;
 mod tracker;
 pub(crate) mod wall;
 
-pub use errors::{AlikeErrors, RecordingErrors};
+pub use errors::{AlikeErrors, Beat, RecordingErrors};
 pub(crate) use live::{LiveSweep, Step};
 pub use prepare::axis::Axis;
 pub(crate) use prepare::contour::Outline;

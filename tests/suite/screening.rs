@@ -545,6 +545,40 @@ fn echoes_of_the_catheter_are_no_wall() {
 }
 
 #[test]
+fn lines_drawn_across_a_shadow_are_no_wall() {
+    let recording = noisy_tube();
+    assert_eq!(Screening::of(&recording).chords, None);
+    let drawn = |first: usize| {
+        let mut drawn = recording.clone();
+        for frame in &mut drawn.frames {
+            let (from, to) = (frame.contour_mm[first], frame.contour_mm[first + 16]);
+            // Where the rays meet the line, as files with three digits have it.
+            for k in 1..16 {
+                let p = from.lerp(to, f64::from(k) / 16.0);
+                frame.contour_mm[first + k as usize] = (p * 1000.0).round() / 1000.0;
+            }
+        }
+        drawn
+    };
+    for first in [0, 40] {
+        let drawn = drawn(first);
+        let screening = Screening::of(&drawn);
+        let chords = screening.chords.unwrap();
+        assert_eq!(chords.frames, drawn.frames.len());
+        // Now and then the echo at an end lies on the line by chance.
+        assert!((15 * drawn.frames.len()..16 * drawn.frames.len()).contains(&chords.points), "{chords}");
+        let screened = screening.apply(&drawn).unwrap();
+        for frame in &screened.frames {
+            let missing: Vec<usize> = (0..90).filter(|&k| frame.contour_mm[k].is_nan()).collect();
+            assert!((first + 1..first + 16).all(|k| missing.contains(&k)), "{missing:?}");
+            assert!(missing.iter().all(|k| (first..=first + 16).contains(k)), "{missing:?}");
+        }
+    }
+    // Kept where the settings keep all frames as they are.
+    assert_eq!(Screening::none(&drawn(0)).chords, None);
+}
+
+#[test]
 fn a_wall_at_one_distance_is_no_ring_down() {
     // In the middle of a round vessel, without noise and with the mouth of a branch.
     let mut recording = noisy_tube();

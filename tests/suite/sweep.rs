@@ -397,3 +397,45 @@ fn standard_errors_hold_where_echoes_share_their_errors() {
         println!("{share:.3} {case}");
     }
 }
+
+/// A lumen that beats is told from contours that are off for long, and its standard errors do not grow with it; and for how
+/// long a place was seen is what the way of the catheter says.
+#[test]
+fn an_oscillation_is_found_with_its_size_and_frequency() {
+    let recorded = |noise: Noise, insertion: Insertion| {
+        let settings = simulate::SimulationSettings::default().with_insertion(insertion).with_noise(noise);
+        simulated("arch", &settings)
+    };
+    let still = swept(&recorded(Noise::default(), Insertion::steady()).recording);
+    let still_errors = still.report.errors.as_ref().unwrap();
+    assert_eq!(still_errors.beats, []);
+    let beating = recorded(Noise::default().with_pulsation_fraction(0.08), Insertion::steady());
+    let sweep = swept(&beating.recording);
+    let errors = sweep.report.errors.as_ref().unwrap();
+    let [beat] = errors.beats[..] else { panic!("{errors:?}") };
+    // 0.08 of 10 mm, as a standard deviation.
+    assert!((beat.frequency_hz - 1.2).abs() < 0.02 && !beat.is_shift, "{errors:?}");
+    assert!((beat.sd_mm / 0.566 - 1.0).abs() < 0.25, "{errors:?}");
+    let surface = sweep.surface(false);
+    let locator = Locator::new(beating.vessel.surface()).unwrap();
+    let said_mm = surface.array("standard_error_mm").unwrap();
+    let inside: Vec<bool> = locator
+        .closest_all(&surface.nodes_mm)
+        .iter()
+        .zip(said_mm)
+        .filter(|(c, _)| !c.on_rim)
+        .map(|(c, said_mm)| c.distance_mm <= 2.0 * said_mm)
+        .collect();
+    let share = inside.iter().filter(|i| **i).count() as f64 / inside.len() as f64;
+    println!("{share:.3} {errors:?}");
+    assert!((0.9..=0.995).contains(&share), "{share} within two standard errors; {errors:?}");
+
+    // Once; and once more on the way back.
+    let there_and_back = Insertion::steady()
+        .with_moves(vec![Move::Advance { distance_mm: 40.0 }, Move::Withdraw { distance_mm: 40.0 }])
+        .with_repeat(false);
+    let twice = swept(&recorded(Noise::default(), there_and_back).recording);
+    let [once_s, twice_s] = [still_errors, twice.report.errors.as_ref().unwrap()].map(|e| e.seen_for_s);
+    println!("{once_s} {twice_s}");
+    assert!(once_s < 3.0 && twice_s > 3.0 * once_s, "{once_s} {twice_s}");
+}

@@ -1,6 +1,7 @@
 //! Which frames of a recording are fit to be used: they are judged before they become anatomy.
 
 mod artefacts;
+mod chords;
 mod hints;
 mod live;
 mod no_echo;
@@ -10,11 +11,12 @@ mod repeats;
 mod suspicions;
 
 pub use artefacts::RingDown;
+pub use chords::{Chords, FixedChord};
 pub(crate) use live::{Judged, LiveScreening};
 pub use no_echo::NoEcho;
 
 use super::finding::Finding;
-use super::{Conventions, Recording};
+use super::{Conventions, Frame, Recording};
 use crate::geometry::Pose;
 use crate::{Error, Result};
 use glam::DVec2;
@@ -57,6 +59,8 @@ pub struct Screening {
     pub sorted_frames: usize,
     /// Echoes of the catheter itself, which are taken for missing ones.
     pub ring_down: Option<RingDown>,
+    /// Straight lines across shadows, whose points are taken for missing echoes.
+    pub chords: Option<Chords>,
     /// What may be wrong with the recording as a whole, or with frames that are used all the same.
     pub suspicions: Vec<Finding>,
 }
@@ -181,6 +185,7 @@ impl Screening {
             no_echo: Vec::new(),
             sorted_frames: 0,
             ring_down: None,
+            chords: None,
             suspicions: suspicions::suspicions(recording, &[]),
         }
     }
@@ -190,7 +195,9 @@ impl Screening {
         let no_echo = no_echo::no_echo(recording);
         let (recording, sorted_frames) = with_order(without_no_echo(recording, &no_echo));
         let ring_down = RingDown::of(&recording.frames);
-        let recording = &*without_ring_down(recording, ring_down);
+        let recording = without_ring_down(recording, ring_down);
+        let chords = Chords::of(&recording.frames);
+        let recording = &*without_chords(recording, chords);
         let frames = &recording.frames;
         let mut left_out = Vec::new();
         let mut sound = Vec::with_capacity(frames.len());
@@ -222,7 +229,7 @@ impl Screening {
         left_out.sort_by_key(|one| one.place);
         let suspicions = suspicions::suspicions(recording, &left_out);
         left_out.iter_mut().for_each(|one| one.name(recording));
-        Self { frames: frames.len(), left_out, no_echo, sorted_frames, ring_down, suspicions }
+        Self { frames: frames.len(), left_out, no_echo, sorted_frames, ring_down, chords, suspicions }
     }
 
     /// The recording with the contours of the frames that are left out emptied, and with their poses taken from the
@@ -247,7 +254,7 @@ impl Screening {
         if self.sorted_frames > 0 {
             recording = with_order(recording).0;
         }
-        let recording = without_ring_down(recording, self.ring_down);
+        let recording = without_chords(without_ring_down(recording, self.ring_down), self.chords);
         if self.left_out.is_empty() {
             return Ok(recording);
         }
@@ -311,10 +318,28 @@ fn with_order(recording: Cow<'_, Recording>) -> (Cow<'_, Recording>, usize) {
 
 /// The recording with NaN for the echoes of the catheter itself.
 fn without_ring_down(recording: Cow<'_, Recording>, ring_down: Option<RingDown>) -> Cow<'_, Recording> {
-    let Some(ring_down) = ring_down else { return recording };
+    match ring_down {
+        None => recording,
+        Some(ring_down) => without_places(recording, |frame| ring_down.places(frame)),
+    }
+}
+
+/// The recording with NaN for the points of straight lines across shadows.
+fn without_chords(recording: Cow<'_, Recording>, chords: Option<Chords>) -> Cow<'_, Recording> {
+    match chords {
+        None => recording,
+        Some(chords) => without_places(recording, |frame| chords.places(frame)),
+    }
+}
+
+/// The recording with NaN at some places of its contours.
+fn without_places(
+    recording: Cow<'_, Recording>,
+    places: impl Fn(&Frame) -> Vec<usize>,
+) -> Cow<'_, Recording> {
     let mut recording = recording.into_owned();
     for frame in &mut recording.frames {
-        for place in ring_down.places(frame) {
+        for place in places(frame) {
             frame.contour_mm[place] = DVec2::NAN;
         }
     }

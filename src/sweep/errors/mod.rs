@@ -5,6 +5,7 @@
 //! the residuals ([`moments`]) show which kinds of errors ([`process`]) a recording has. What each kind leaves of itself in
 //! the residuals, and how much of it the wall takes up, is found by drawing it at random and fitting the wall to the draws
 //! ([`smoother`]): the fit is linear in the echoes. Levels of the kinds are those whose moments add up to the recording's.
+//! What lasts longer than the wall was seen anywhere leaves nothing in the residuals, and is in no standard error.
 //! The wall's own bends are one of the kinds; where the wall is rougher or smoother than its prior expects is found in the
 //! same way, so that smoothing can follow the vessel.
 
@@ -26,7 +27,7 @@ use crate::numerics::robust::median;
 use crate::recording::{FRAME_INTERVAL_S, Frame};
 use crate::settings::SweepSettings;
 use moments::{Sectors, Sums};
-use process::{Process, Seen, add_draw, random};
+use process::{Process, Seen, add_draw, frequency_hz, random};
 use rayon::prelude::*;
 use serde::Serialize;
 use smoother::{Response, Smoother, linearised};
@@ -41,6 +42,11 @@ pub struct RecordingErrors {
     pub shifts: Vec<AlikeErrors>,
     /// Errors of the contours that are alike along the wall.
     pub contours: Vec<AlikeErrors>,
+    /// Oscillations of the lumen's size, and of the place of whole frames.
+    pub beats: Vec<Beat>,
+    /// For how long a place of the wall was seen, s: the median over the supported wall. Errors that are alike for longer
+    /// move the wall as a whole and show in no residual, so that standard errors are without them.
+    pub seen_for_s: f64,
     /// Roughness of the wall, as `sweep.roughness` counts it: the median over the supported nodes.
     pub roughness: f64,
     /// Number of descriptions that suit the echoes equally well. The first one is given here; standard errors are a mean
@@ -58,6 +64,18 @@ pub struct AlikeErrors {
     pub width_deg: Option<f64>,
     /// Time over which they are forgotten, s; 0 where every frame has its own.
     pub correlation_s: f64,
+}
+
+/// An oscillation that the echoes show.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Beat {
+    /// Standard deviation, mm; of a shift along each axis.
+    pub sd_mm: f64,
+    /// Its frequency, Hz.
+    pub frequency_hz: f64,
+    /// Whether frames are shifted as a whole; otherwise the lumen widens and narrows.
+    pub is_shift: bool,
 }
 
 /// Smallest recording whose errors are estimated: frames, and echoes.
@@ -117,6 +135,23 @@ struct Estimate {
     of_sums: Vec<f64>,
 }
 
+/// Residuals of the echoes, mm, and whether each lies on the wall.
+#[derive(Clone, Copy)]
+struct Residuals<'a> {
+    values_mm: &'a [f64],
+    is_on_wall: &'a [bool],
+}
+
+/// Squared roughness of a wall in units of the setting's, and what the errors make of the wall.
+struct Roughness {
+    /// About each node.
+    of_nodes: Vec<f64>,
+    /// Mean squares of the wall's errors at the nodes, mm².
+    errors: Vec<f64>,
+    /// As the sums of rings show it.
+    sums: Vec<f64>,
+}
+
 /// Estimates the errors of a recording, fits the wall again with a smoothness that follows its roughness, and replaces the
 /// standard errors of the nodes. `None`, and no change, where there are too few echoes for it, or they are perfect.
 pub(super) fn estimate(
@@ -145,7 +180,8 @@ pub(super) fn estimate(
     let of_nodes = recording.node_errors(&estimate, roughness, echoes, wall)?;
     let of_supported = estimate.of_nodes.iter().zip(&support.supported).filter(|(_, s)| **s);
     let median_ratio = median(&mut of_supported.map(|(ratio, _)| *ratio).collect::<Vec<_>>());
-    let errors = RecordingErrors::of(&estimate.descriptions, roughness * median_ratio.sqrt());
+    let mut errors = RecordingErrors::of(&estimate.descriptions, roughness * median_ratio.sqrt());
+    errors.seen_for_s = recording.seen_for_s(echoes, recording.reach_mm(echoes, wall));
     Ok(Some((errors, of_nodes)))
 }
 
@@ -173,6 +209,29 @@ impl<'a> Recorded<'a> {
         Self { grid, times_s, seen: echoes.iter().map(seen).collect(), supported }
     }
 
+    /// Median over the rings with supported nodes of the time between the first and the last echo within a distance, s.
+    fn seen_for_s(&self, echoes: &[Echo], within_mm: f64) -> f64 {
+        let WallGrid { rings, nodes, step_mm, .. } = *self.grid;
+        let mut spans = vec![[f64::INFINITY, f64::NEG_INFINITY]; rings];
+        for (echo, seen) in echoes.iter().zip(&self.seen) {
+            let [first, last] = &mut spans[(echo.ring.max(0.0) as usize).min(rings - 1)];
+            let time_s = self.times_s[seen.frame as usize];
+            (*first, *last) = (first.min(time_s), last.max(time_s));
+        }
+        let away = (within_mm / step_mm).round() as usize;
+        let is_supported = |k: &usize| self.supported[k * nodes..(k + 1) * nodes].contains(&true);
+        let span_s = |k: usize| {
+            let about = &spans[k.saturating_sub(away)..(k + away + 1).min(rings)];
+            let [first, last] =
+                about.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[first, last], span| {
+                    [first.min(span[0]), last.max(span[1])]
+                });
+            last - first
+        };
+        let spans_s = (0..rings).filter(is_supported).map(span_s).filter(|s| s.is_finite());
+        median(&mut spans_s.collect::<Vec<_>>())
+    }
+
     /// Kinds that are tried where rays, frames of their own and the wall's bends do not explain the residuals.
     fn other_kinds(&self) -> Vec<Process> {
         let mut intervals: Vec<f64> =
@@ -195,29 +254,13 @@ impl<'a> Recorded<'a> {
         let residuals_mm: Vec<f64> = echoes.iter().map(|e| e.residual_mm.clamp(-most_mm, most_mm)).collect();
         let is_on_wall: Vec<bool> = echoes.iter().map(|echo| is_inlier(echo, wall.noise_mm)).collect();
         let sectors = Sectors::of(&self.seen, &is_on_wall, self.times_s.len());
-        let descriptions = self.descriptions(&smoother, &sectors, &residuals_mm)?;
-
-        let fields: Vec<[Vec<f64>; 3]> = (0..ROUGHNESS_DRAWS)
-            .into_par_iter()
-            .map(|draw| {
-                let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
-                let Response { errors_mm, residuals_mm } = smoother.to_errors(&errors_mm)?;
-                let of_bends = smoother.wall(&smoother.to_bends(draw)?.residuals_mm)?;
-                Ok([errors_mm, smoother.wall(&residuals_mm)?, of_bends])
-            })
-            .collect::<Result<_>>()?;
-        let [errors, noise, bends] = [0, 1, 2].map(|i| mean_squares(fields.iter().map(|field| &field[i])));
         let found_mm = smoother.wall(&residuals_mm)?;
-        let found: Vec<f64> = found_mm.iter().map(|x| x * x).collect();
         let reach_mm = self.reach_mm(echoes, wall);
-        let about = [found, noise, bends].map(|field| self.averaged(&field, NODE_REACHES * reach_mm));
-        let ratio = |least: f64, found: f64, noise: f64, bends: f64| {
-            let ratio = (found - noise) / bends;
-            if ratio.is_finite() { ratio.clamp(least, MAX_RATIO) } else { 1.0 }
-        };
-        let [found, noise, bends] = &about;
-        let of_nodes: Vec<f64> =
-            (0..self.grid.node_count()).map(|n| ratio(MIN_RATIO, found[n], noise[n], bends[n])).collect();
+        let roughness_for =
+            |descriptions: &[Levels]| self.roughness(&smoother, &found_mm, reach_mm, descriptions);
+        let residuals = Residuals { values_mm: &residuals_mm, is_on_wall: &is_on_wall };
+        let descriptions = self.descriptions(&smoother, &sectors, residuals, &roughness_for)?;
+        let Roughness { of_nodes, errors, sums } = roughness_for(&descriptions)?;
 
         // Echoes of the standard deviation σ that err independently give the wall the variance (σℓ)²/16λ.
         let independent = (wall.noise_mm * reach_mm).powi(2) / (16.0 * wall.smoothness_mm2);
@@ -230,12 +273,42 @@ impl<'a> Recorded<'a> {
             |mean: &f64| if mean.is_finite() { mean.exp().min(MAX_RING) / design_effect } else { 1.0 };
         let of_rings =
             self.averaged_rings(&logarithms, RING_REACHES * reach_mm).iter().map(of_ring).collect();
+        Ok(Estimate { descriptions, of_nodes, of_rings, of_sums: sums })
+    }
+
+    /// The roughness of the wall where the residuals are, smoothed, `found_mm`, and errors are described so.
+    fn roughness(
+        &self,
+        smoother: &Smoother,
+        found_mm: &[f64],
+        reach_mm: f64,
+        descriptions: &[Levels],
+    ) -> Result<Roughness> {
+        let fields: Vec<[Vec<f64>; 3]> = (0..ROUGHNESS_DRAWS)
+            .into_par_iter()
+            .map(|draw| {
+                let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
+                let Response { errors_mm, residuals_mm } = smoother.to_errors(&errors_mm)?;
+                let of_bends = smoother.wall(&smoother.to_bends(draw, None)?.residuals_mm)?;
+                Ok([errors_mm, smoother.wall(&residuals_mm)?, of_bends])
+            })
+            .collect::<Result<_>>()?;
+        let [errors, noise, bends] = [0, 1, 2].map(|i| mean_squares(fields.iter().map(|field| &field[i])));
+        let found: Vec<f64> = found_mm.iter().map(|x| x * x).collect();
+        let about = [found, noise, bends].map(|field| self.averaged(&field, NODE_REACHES * reach_mm));
+        let ratio = |least: f64, found: f64, noise: f64, bends: f64| {
+            let ratio = (found - noise) / bends;
+            if ratio.is_finite() { ratio.clamp(least, MAX_RATIO) } else { 1.0 }
+        };
+        let [found, noise, bends] = &about;
+        let of_nodes: Vec<f64> =
+            (0..self.grid.node_count()).map(|n| ratio(MIN_RATIO, found[n], noise[n], bends[n])).collect();
         let weights = gaussian(RING_REACHES * reach_mm / self.grid.step_mm, self.grid.rings);
         let sums_of = |kind: usize| mean(fields.iter().map(|field| self.squared_sums(&field[kind])));
-        let [found, noise, bends] = [self.squared_sums(&found_mm), sums_of(1), sums_of(2)]
-            .map(|sums| smoothed_along(&weights, &sums));
-        let of_sums = (0..self.grid.rings).map(|k| ratio(MIN_SUM, found[k], noise[k], bends[k])).collect();
-        Ok(Estimate { descriptions, of_nodes, of_rings, of_sums })
+        let [found, noise, bends] =
+            [self.squared_sums(found_mm), sums_of(1), sums_of(2)].map(|sums| smoothed_along(&weights, &sums));
+        let sums = (0..self.grid.rings).map(|k| ratio(MIN_SUM, found[k], noise[k], bends[k])).collect();
+        Ok(Roughness { of_nodes, errors, sums })
     }
 
     /// Of each ring: the square of the sum over its supported nodes.
@@ -253,9 +326,10 @@ impl<'a> Recorded<'a> {
         &self,
         smoother: &Smoother,
         sectors: &Sectors,
-        residuals_mm: &[f64],
+        residuals: Residuals,
+        roughness: &dyn Fn(&[Levels]) -> Result<Roughness>,
     ) -> Result<Vec<Levels>> {
-        let found = sectors.sums(residuals_mm);
+        let found = sectors.sums(residuals.values_mm);
         let (moments, scatter) = (sectors.means(&found), sectors.errors(&found));
         let variance = moments[0];
         let scales: Vec<f64> = moments
@@ -267,14 +341,18 @@ impl<'a> Recorded<'a> {
             .collect();
         let scaled = |of: &[f64]| -> Vec<f64> { of.iter().zip(&scales).map(|(m, s)| m * s).collect() };
         let target = scaled(&moments);
-        let columns = |kinds: &[Process], draws: usize, first: usize| -> Result<Vec<Vec<f64>>> {
+        let columns = |kinds: &[Process],
+                       draws: usize,
+                       first: usize,
+                       rougher: Option<&[f64]>|
+         -> Result<Vec<Vec<f64>>> {
             let jobs: Vec<(usize, usize)> =
                 (0..kinds.len()).flat_map(|kind| (0..draws).map(move |draw| (kind, draw))).collect();
             let sums: Vec<Sums> = jobs
                 .par_iter()
                 .map(|&(kind, draw)| {
                     let Response { residuals_mm, .. } = match kinds[kind] {
-                        Process::Wall => smoother.to_bends(draw)?,
+                        Process::Wall => smoother.to_bends(draw, rougher)?,
                         process => {
                             let mut errors_mm = vec![0.0; self.seen.len()];
                             let rng = &mut random(draw, first + kind);
@@ -294,16 +372,37 @@ impl<'a> Recorded<'a> {
         };
         let mut kinds = vec![Process::Ray, Process::Shift { correlation_s: 0.0 }, Process::Wall];
         let base = kinds.len();
-        let mut of_kinds = columns(&kinds, BASE_DRAWS, 0)?;
+        let mut of_kinds = columns(&kinds, BASE_DRAWS, 0, None)?;
         let explain = |of_kinds: &[Vec<f64>], chosen: &[usize]| {
             let columns: Vec<&[f64]> = chosen.iter().map(|&k| &of_kinds[k][..]).collect();
             nonnegative_least_squares(&columns, &target)
         };
         let mut chosen: Vec<usize> = (0..base).collect();
+        let levels = |kinds: &[Process], of_kinds: &[Vec<f64>], chosen: &[usize]| -> Levels {
+            let (levels, _) = explain(of_kinds, chosen);
+            chosen.iter().map(|&k| kinds[k]).zip(levels).filter(|(_, level)| *level > 0.0).collect()
+        };
+        let is_poor = |misfit: f64| misfit > POOR_FIT * target.len() as f64;
         let (_, mut misfit) = explain(&of_kinds, &chosen);
-        if misfit > POOR_FIT * target.len() as f64 {
-            let others = self.other_kinds();
-            of_kinds.extend(columns(&others, OTHER_DRAWS, base)?);
+        if is_poor(misfit) {
+            // A wall that is rougher in places leaves other moments than one that is equally rough everywhere.
+            let Roughness { of_nodes, .. } = roughness(&[levels(&kinds, &of_kinds, &chosen)])?;
+            let of_supported =
+                of_nodes.iter().zip(self.supported).filter(|(_, s)| **s).map(|(ratio, _)| *ratio);
+            let usual = median(&mut of_supported.collect::<Vec<_>>());
+            let rougher: Vec<f64> = of_nodes.iter().map(|ratio| (ratio / usual).sqrt()).collect();
+            let uneven = columns(&[Process::Wall], BASE_DRAWS, base, Some(&rougher))?;
+            let mut with_uneven = of_kinds.clone();
+            with_uneven[base - 1].clone_from(&uneven[0]);
+            let (_, uneven_misfit) = explain(&with_uneven, &chosen);
+            if uneven_misfit < misfit {
+                (of_kinds, misfit) = (with_uneven, uneven_misfit);
+            }
+        }
+        if is_poor(misfit) {
+            let mut others = self.other_kinds();
+            others.extend(self.beats(residuals));
+            of_kinds.extend(columns(&others, OTHER_DRAWS, base, None)?);
             kinds.extend(others);
             loop {
                 let with = |k: usize| {
@@ -328,11 +427,30 @@ impl<'a> Recorded<'a> {
                 }
             }
         }
-        let levels = |chosen: &Vec<usize>| {
-            let (levels, _) = explain(&of_kinds, chosen);
-            chosen.iter().map(|&k| kinds[k]).zip(levels).filter(|(_, level)| *level > 0.0).collect()
+        Ok(alternatives.iter().map(|chosen| levels(&kinds, &of_kinds, chosen)).collect())
+    }
+
+    /// Oscillations of the lumen's size and of the frames' places, as far as the residuals show any.
+    fn beats(&self, residuals: Residuals) -> Vec<Process> {
+        let Residuals { values_mm, is_on_wall } = residuals;
+        // Means over each frame of the residuals, times 1, cos θ and sin θ.
+        let mut sums = vec![[0.0; 3]; self.times_s.len()];
+        let mut counts = vec![0.0_f64; self.times_s.len()];
+        for ((seen, residual), _) in self.seen.iter().zip(values_mm).zip(is_on_wall).filter(|(_, on)| **on) {
+            let (sin, cos) = seen.theta_rad.sin_cos();
+            let frame = seen.frame as usize;
+            sums[frame].iter_mut().zip([1.0, cos, sin]).for_each(|(sum, part)| *sum += part * residual);
+            counts[frame] += 1.0;
+        }
+        let means = |part: usize| -> Vec<f64> {
+            sums.iter().zip(&counts).map(|(sums, count)| sums[part] / count.max(1.0)).collect()
         };
-        Ok(alternatives.iter().map(levels).collect())
+        let [size, x, y] = [0, 1, 2].map(means);
+        let of_size =
+            frequency_hz(&self.times_s, &[&size]).map(|f| Process::Beat { order: 0, frequency_hz: f });
+        let of_place =
+            frequency_hz(&self.times_s, &[&x, &y]).map(|f| Process::Beat { order: 1, frequency_hz: f });
+        of_size.into_iter().chain(of_place).collect()
     }
 
     /// A draw of all errors but the wall's bends.
@@ -360,7 +478,7 @@ impl<'a> Recorded<'a> {
             .map(|draw| {
                 let draw = ROUGHNESS_DRAWS + draw;
                 let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
-                Ok([smoother.wall(&errors_mm)?, smoother.to_bends(draw)?.errors_mm])
+                Ok([smoother.wall(&errors_mm)?, smoother.to_bends(draw, None)?.errors_mm])
             })
             .collect::<Result<_>>()?;
         let reach_mm = VARIANCE_REACHES * self.reach_mm(echoes, wall);
@@ -499,6 +617,16 @@ fn mean(lists: impl Iterator<Item = Vec<f64>>) -> Vec<f64> {
 }
 
 impl RecordingErrors {
+    /// How far the vessel lies beside the reconstructed wall, which is that of its mean place, at the ends of the way that a
+    /// beat carries it, mm along each axis; `None` where no beat shows. A vessel that breath or heart moves rests at one of
+    /// them.
+    pub fn rest_mm(&self) -> Option<f64> {
+        let squares =
+            self.beats.iter().filter(|beat| beat.is_shift).map(|beat| 2.0 * beat.sd_mm * beat.sd_mm);
+        let square: f64 = squares.sum();
+        (square > 0.0).then(|| square.sqrt())
+    }
+
     fn of(descriptions: &[Levels], roughness: f64) -> Self {
         let mut errors = Self { roughness, descriptions: descriptions.len(), ..Self::default() };
         for (process, variance_mm2) in descriptions.first().into_iter().flatten() {
@@ -511,6 +639,9 @@ impl RecordingErrors {
                 Process::Contour { width_rad, correlation_s } => {
                     let width_deg = Some(width_rad.to_degrees());
                     errors.contours.push(AlikeErrors { sd_mm, width_deg, correlation_s });
+                }
+                Process::Beat { order, frequency_hz } => {
+                    errors.beats.push(Beat { sd_mm, frequency_hz, is_shift: order > 0 });
                 }
                 Process::Wall => (),
             }

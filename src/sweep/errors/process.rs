@@ -1,8 +1,11 @@
 //! Kinds of errors that the echoes of a recording may have, and random draws of them.
 
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
+use std::f64::consts::{SQRT_2, TAU};
 
 /// A kind of error, of unit standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,6 +18,8 @@ pub(super) enum Process {
     /// Of the contour, alike over a width about the lumen (the standard deviation of a Gaussian of that is `width_rad / √2`)
     /// and forgotten over `correlation_s` as above.
     Contour { width_rad: f64, correlation_s: f64 },
+    /// An oscillation with a frequency: `order` 0 of the lumen's size, 1 of the place of the whole frame.
+    Beat { order: u32, frequency_hz: f64 },
     /// Bends of the wall, as its prior expects them, which the fit smooths away.
     Wall,
 }
@@ -75,8 +80,58 @@ pub(super) fn add_draw(
                 }
             }
         }
+        Process::Beat { order, frequency_hz } => {
+            // A cosine and, but for the size, a sine about the lumen, each with a phase of its own.
+            let series = [0; 2].map(|_| {
+                let phase = TAU * rng.random::<f64>();
+                let at = |t: &f64| SQRT_2 * (TAU * frequency_hz * t + phase).cos();
+                times_s.iter().map(at).collect::<Vec<f64>>()
+            });
+            for (error, echo) in errors_mm.iter_mut().zip(echoes) {
+                let (sin, cos) = (f64::from(order) * echo.theta_rad).sin_cos();
+                let frame = echo.frame as usize;
+                *error += sd_mm * (cos * series[0][frame] + sin * series[1][frame]);
+            }
+        }
         Process::Wall => (),
     }
+}
+
+/// Fewest periods of an oscillation in a recording, and how far its power exceeds the mean power at all frequencies: the
+/// largest of a thousand powers of noise is about seven times the mean.
+const MIN_PERIODS: f64 = 4.0;
+const MIN_POWER: f64 = 20.0;
+/// Frames that are looked at, from the middle of the recording: the work grows with their square.
+const MAX_FRAMES: usize = 4096;
+
+/// The frequency at which values of the frames oscillate, Hz, if one stands out in the sum of their powers.
+pub(super) fn frequency_hz(times_s: &[f64], values: &[&[f64]]) -> Option<f64> {
+    let from = times_s.len().saturating_sub(MAX_FRAMES) / 2;
+    let times_s = &times_s[from..times_s.len().min(from + MAX_FRAMES)];
+    let (first, last) = (times_s.first()?, times_s.last()?);
+    let span_s = last - first;
+    let count = times_s.len() as f64;
+    // Up to half the frame rate.
+    let steps = count as usize;
+    if span_s.is_nan() || span_s <= 0.0 {
+        return None;
+    }
+    let power = |step: usize| -> f64 {
+        let turns = 0.5 * step as f64 / span_s;
+        let of = |values: &&[f64]| {
+            let [re, im] = times_s.iter().zip(&values[from..]).fold([0.0; 2], |[re, im], (t, value)| {
+                let (sin, cos) = (TAU * turns * t).sin_cos();
+                [re + value * cos, im + value * sin]
+            });
+            re * re + im * im
+        };
+        values.iter().map(of).sum()
+    };
+    let least = (2.0 * MIN_PERIODS) as usize;
+    let powers: Vec<f64> = (least..steps.max(least)).into_par_iter().map(power).collect();
+    let mean = powers.iter().sum::<f64>() / powers.len().max(1) as f64;
+    let best = (0..powers.len()).max_by(|&a, &b| powers[a].total_cmp(&powers[b]).then(b.cmp(&a)))?;
+    (powers[best] > MIN_POWER * mean).then(|| 0.5 * (least + best) as f64 / span_s)
 }
 
 /// A stationary series of unit variance with the correlation `exp(-Δt/correlation_s)`.
@@ -102,6 +157,22 @@ fn series(rng: &mut ChaCha8Rng, times_s: &[f64], correlation_s: f64) -> Vec<f64>
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_oscillation_is_found_in_noise_and_none_in_noise_alone() {
+        let times_s: Vec<f64> = (0..600).map(|k| f64::from(k) / 12.0).collect();
+        let rng = &mut random(1, 5);
+        let noise: Vec<f64> = times_s.iter().map(|_| normal(rng)).collect();
+        assert_eq!(frequency_hz(&times_s, &[&noise]), None);
+        for expected_hz in [0.25, 1.2, 3.0] {
+            let beating = |(t, noise): (&f64, &f64)| (TAU * expected_hz * t + 1.0).sin() + noise;
+            let beating: Vec<f64> = times_s.iter().zip(&noise).map(beating).collect();
+            let found_hz = frequency_hz(&times_s, &[&noise, &beating]).unwrap();
+            assert!((found_hz - expected_hz).abs() < 0.011, "{found_hz}");
+        }
+        assert_eq!(frequency_hz(&[], &[&[]]), None);
+        assert_eq!(frequency_hz(&[1.0; 9], &[&[0.3; 9]]), None);
+    }
 
     #[test]
     fn a_series_forgets_over_its_correlation_time() {

@@ -119,13 +119,15 @@ impl<'a> Smoother<'a> {
     ///
     /// With `λ ∫ bending² = Σ w (c·r)²`, such a wall has `√w c·r = √λ τ z` with independent normal z, and the fit misses
     /// `A⁻¹ Σ w c (c·r)` of it.
-    pub(super) fn to_bends(&self, draw: usize) -> Result<Response> {
+    /// `rougher` has the roughness about each node in units of that, if it is not the same everywhere.
+    pub(super) fn to_bends(&self, draw: usize, rougher: Option<&[f64]>) -> Result<Response> {
         let mut right = vec![0.0; self.grid.node_count()];
         let mut rng = random(draw, BENDS);
         for k in 0..self.grid.rings {
             for j in 0..self.grid.nodes {
+                let rougher = rougher.map_or(1.0, |rougher| rougher[k * self.grid.nodes + j]);
                 for (weight, nodes) in self.operator.squares(k, j) {
-                    let size = self.noise_mm * weight.sqrt() * normal(&mut rng);
+                    let size = self.noise_mm * rougher * weight.sqrt() * normal(&mut rng);
                     for (node, coefficient) in nodes {
                         right[node] += size * coefficient;
                     }
