@@ -94,6 +94,11 @@ impl Curve {
         self.radius_mm / NODES_PER_RADIUS
     }
 
+    /// How far it extends beyond the outermost centres, mm.
+    pub fn beyond_mm(&self) -> f64 {
+        BEYOND as f64 * self.spacing_mm()
+    }
+
     /// Length between the first node and the last, mm.
     pub fn length_mm(&self) -> f64 {
         (self.nodes_mm.len() - 1) as f64 * self.spacing_mm()

@@ -50,7 +50,7 @@ const SUPPORT_MARGIN: usize = 8;
 const MAX_RINGS: usize = 1 << 24;
 const MAX_NODES: usize = 1 << 14;
 const MIN_STEP_SPACINGS: f64 = 1e-3;
-/// Length of an end of the wall, in lumen radii.
+/// Length of an end of the wall before its outermost centre, in lumen radii.
 const END_RADII: f64 = 1.0;
 /// Rounds over the first frames, and those of them that are a warm-up.
 const FIRST_ROUNDS: usize = 4;
@@ -103,7 +103,7 @@ pub(super) struct About {
     pub radii_away: f64,
     /// Distance from the wall, mm; negative within the lumen.
     pub outside_mm: f64,
-    /// Whether it lies beside or beyond an end of the wall that was seen, where the axis may still follow the catheter.
+    /// Whether it lies beside or beyond the outermost centres, where the axis may still follow the catheter.
     pub is_at_end: bool,
 }
 
@@ -248,12 +248,12 @@ impl GrowingVessel {
         let ring = self.axis.nearest_ring(point_mm);
         let radius_mm = self.ring_radius_mm(ring);
         let distance_mm = point_mm.distance(self.axis.points_mm[ring]);
-        let rings_to_end =
-            ring.saturating_sub(self.observed.start).min(self.observed.end.saturating_sub(ring));
+        let along_mm = self.origin_mm + ring as f64 * self.grid.step_mm;
+        let to_end_mm = along_mm.min(self.curve.length_mm() - along_mm);
         About {
             radii_away: distance_mm / radius_mm,
             outside_mm: distance_mm - radius_mm,
-            is_at_end: rings_to_end as f64 * self.grid.step_mm < END_RADII * radius_mm,
+            is_at_end: to_end_mm < self.curve.beyond_mm() + END_RADII * radius_mm,
         }
     }
 
