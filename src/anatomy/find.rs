@@ -29,12 +29,10 @@ pub struct VesselTree {
     pub node_branch: Vec<u32>,
 }
 
-/// Length of edges in diameters of the narrowest branch: longer ones are divided.
+/// Length of edges in median diameters: longer ones are divided.
 const EDGE_DIAMETERS: f64 = 0.2;
-/// Height of a band in the same: the slices of a short branch must be several.
+/// Height of a band in diameters.
 const BAND_DIAMETERS: f64 = 0.25;
-/// The least diameter that counts as that of a branch, in diameters of the vessel.
-const NARROWEST_DIAMETERS: f64 = 0.25;
 /// The least length of a branch that ends blindly, in diameters: shorter ones are bulges.
 const BLIND_DIAMETERS: f64 = 1.0;
 /// Most nodes of the divided surface.
@@ -103,8 +101,6 @@ struct Graph {
     starts: Vec<usize>,
     joined: Vec<(u32, f64)>,
     diameter_mm: f64,
-    /// The same, or that of the narrowest of several branches' ends.
-    narrowest_mm: f64,
 }
 
 impl Graph {
@@ -139,7 +135,6 @@ impl Graph {
             starts: Vec::new(),
             joined: Vec::new(),
             diameter_mm: 0.0,
-            narrowest_mm: 0.0,
         };
         graph.join();
         // A tube's area is its length times its circumference.
@@ -147,25 +142,9 @@ impl Graph {
         let start = far(&graph, graph.triangles[0][0]);
         let length = graph.distances(&[start]).0[far(&graph, start) as usize];
         graph.diameter_mm = area_mm2 / (PI * length);
-        graph.narrowest_mm = graph.diameter_mm.min(graph.narrowest_end_mm());
-        graph.divide(EDGE_DIAMETERS * graph.narrowest_mm);
+        graph.divide(EDGE_DIAMETERS * graph.diameter_mm);
         graph.join();
         Ok(graph)
-    }
-
-    /// Diameter of the narrowest opening of a vessel with three or more, but no less than a share of its own; infinite of
-    /// others.
-    fn narrowest_end_mm(&self) -> f64 {
-        let openings = self.openings();
-        if openings.len() < 3 {
-            return f64::INFINITY;
-        }
-        let width = |rim: &Vec<u32>| {
-            let middle = rim.iter().map(|&n| self.nodes_mm[n as usize]).sum::<DVec3>() / rim.len() as f64;
-            let radii = rim.iter().map(|&n| self.nodes_mm[n as usize].distance(middle));
-            2.0 * radii.sum::<f64>() / rim.len() as f64
-        };
-        openings.iter().map(width).fold(f64::INFINITY, f64::min).max(NARROWEST_DIAMETERS * self.diameter_mm)
     }
 
     /// Halves edges until none is longer. Triangles stay joined.
@@ -261,12 +240,12 @@ impl Graph {
                 }
             }
             let [a, b] = farthest.1;
-            let end = openings.remove(b);
-            let source = openings.remove(a);
+            openings.swap(1, b.max(a));
+            openings.swap(0, a.min(b));
             // The others from the farthest on.
-            openings.sort_by(|p, q| reach(&source, q).total_cmp(&reach(&source, p)));
-            let ends = [end].into_iter().chain(openings).map(|rim| rim[0]).collect();
-            return (source, ends);
+            let source = openings[0].clone();
+            openings[2..].sort_by(|p, q| reach(&source, q).total_cmp(&reach(&source, p)));
+            return (source, openings[1..].iter().map(|rim| rim[0]).collect());
         }
         if let Some(source) = openings.pop() {
             let end = self.farthest(&self.distances(&source).0);
@@ -363,7 +342,7 @@ struct Bands {
 impl Bands {
     fn of(mesh: &Graph, source: &[u32]) -> Self {
         let (distance, before) = mesh.distances(source);
-        let height = BAND_DIAMETERS * mesh.narrowest_mm;
+        let height = BAND_DIAMETERS * mesh.diameter_mm;
         let band = |node: u32| (distance[node as usize] / height) as u64;
         let mut groups = Groups::new(mesh.nodes_mm.len());
         for node in 0..mesh.nodes_mm.len() as u32 {

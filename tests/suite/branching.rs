@@ -79,8 +79,8 @@ fn visited_branches_become_one_surface() {
         let branch = surface.array("branch").unwrap();
         assert!(visits.iter().all(|&b| branch.contains(&(b as f64))), "{shape}");
 
-        // The mesh alone shows as many branches, and each but the first leaves another at a node of its axis.
-        let tree = VesselTree::of(&surface).unwrap();
+        // Each branch but the first leaves another at a node of its axis.
+        let tree = VesselTree::of_lumen(&lumen, &surface).unwrap();
         assert_eq!(tree.axes.len(), visits.len(), "{shape}");
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("axis.vtp");
