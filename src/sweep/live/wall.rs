@@ -134,9 +134,7 @@ impl LiveWall {
             self.waiting.iter().map(|placed| &placed.frame.contour_mm[..]).collect();
         // As for infinite noise: a finer grid would take longer than a frame may.
         let settings = match nodes {
-            Some(nodes) => {
-                &settings.clone().with_sweep(settings.sweep.clone().with_nodes(Some(nodes as u32)))
-            }
+            Some(nodes) => &settings.clone().with_sweep(settings.sweep.with_nodes(Some(nodes as u32))),
             None => settings,
         };
         let resolution = resolution(&contours_mm, length_mm, radius_mm, f64::INFINITY, settings);
