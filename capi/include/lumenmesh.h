@@ -126,7 +126,7 @@ typedef struct LumenmeshChange {
    */
   size_t waiting;
   /**
-   * 1 where the frame lies too far from the vessel's axis.
+   * 1 where the frame lies outside of the vessel's lumen: its echoes wait.
    */
   int32_t off_axis;
   /**

@@ -1,8 +1,8 @@
 //! How far a mesh is from the truth.
 
-use crate::memory::{check_place, copy_text, put};
+use crate::memory::{check_place, copy_json, put};
 use crate::mesh::{LumenmeshMesh, MESHES};
-use crate::status::{Failure, LumenmeshStatus, border};
+use crate::status::{LumenmeshStatus, border};
 use lumenmesh_core::evaluate::{Truth, evaluate};
 use std::ffi::c_char;
 
@@ -24,9 +24,8 @@ pub unsafe extern "C" fn lumenmesh_evaluate(
         let truth = Truth::new((*truth).clone())?;
         let evaluation = evaluate(&mesh, &truth)?;
         if !(buffer.is_null() && length.is_null()) {
-            let json = serde_json::to_string_pretty(&evaluation)
-                .map_err(|e| Failure::argument(format!("evaluation: {e}")))?;
-            unsafe { copy_text("evaluation", &json, buffer, capacity, length)? };
+            let json = serde_json::to_string_pretty(&evaluation);
+            unsafe { copy_json("evaluation", json, buffer, capacity, length)? };
         }
         unsafe { put("mean_mm", mean_mm, evaluation.mesh_to_truth.mean_mm) }
     })

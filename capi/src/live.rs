@@ -2,7 +2,7 @@
 
 use crate::handles::Handles;
 use crate::lumen::{LUMENS, LumenmeshLumen};
-use crate::memory::{array, check_place, copy, copy_text, put, text};
+use crate::memory::{array, check_place, copy, copy_json, put, text};
 use crate::mesh::{LumenmeshMesh, MESHES};
 use crate::recording::{contour, matrix};
 use crate::settings::{LumenmeshSettings, settings_of};
@@ -43,7 +43,7 @@ pub struct LumenmeshChange {
     pub left_out: usize,
     /// Frames that jump off the path of the others and wait for later ones to decide.
     pub waiting: usize,
-    /// 1 where the frame lies too far from the vessel's axis.
+    /// 1 where the frame lies outside of the vessel's lumen: its echoes wait.
     pub off_axis: i32,
     /// 1 where the vessel began anew.
     pub restarted: i32,
@@ -242,9 +242,10 @@ pub unsafe extern "C" fn lumenmesh_live_left_out(
 ) -> LumenmeshStatus {
     border(|| {
         let state = LIVES.get(live)?;
-        let json = serde_json::to_string(&locked(&state)?.change.left_out)
-            .map_err(|e| Failure::argument(format!("left_out: {e}")))?;
-        unsafe { copy_text("left_out", &json, buffer, capacity, length) }
+        let state = locked(&state)?;
+        unsafe {
+            copy_json("left_out", serde_json::to_string(&state.change.left_out), buffer, capacity, length)
+        }
     })
 }
 
@@ -259,9 +260,8 @@ pub unsafe extern "C" fn lumenmesh_live_engine(
 ) -> LumenmeshStatus {
     border(|| {
         let state = LIVES.get(live)?;
-        let json = serde_json::to_string(&locked(&state)?.live.engine())
-            .map_err(|e| Failure::argument(format!("engine: {e}")))?;
-        unsafe { copy_text("engine", &json, buffer, capacity, length) }
+        let state = locked(&state)?;
+        unsafe { copy_json("engine", serde_json::to_string(&state.live.engine()), buffer, capacity, length) }
     })
 }
 

@@ -1,11 +1,11 @@
 //! From a recording to a lumen.
 
 use crate::handles::Handles;
-use crate::memory::{check_place, copy_text, put};
+use crate::memory::{check_place, copy_json, put};
 use crate::mesh::{LumenmeshMesh, MESHES};
 use crate::recording::{LumenmeshRecording, RECORDINGS};
 use crate::settings::{LumenmeshSettings, settings_of};
-use crate::status::{Failure, LumenmeshStatus, border};
+use crate::status::{LumenmeshStatus, border};
 use lumenmesh_core::reconstruction::{Lumen, Progress, Reconstructor};
 use std::ffi::{CString, c_char, c_void};
 use std::ops::ControlFlow;
@@ -105,9 +105,8 @@ pub unsafe extern "C" fn lumenmesh_lumen_report(
 ) -> LumenmeshStatus {
     border(|| {
         let lumen = LUMENS.get(lumen)?;
-        let report = serde_json::to_string_pretty(&lumen.summary())
-            .map_err(|e| Failure::argument(format!("report: {e}")))?;
-        unsafe { copy_text("report", &report, buffer, capacity, length) }
+        let report = serde_json::to_string_pretty(&lumen.summary());
+        unsafe { copy_json("report", report, buffer, capacity, length) }
     })
 }
 

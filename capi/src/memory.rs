@@ -124,3 +124,19 @@ pub unsafe fn copy_text(
         false => unsafe { copy(what, &bytes, to, capacity) },
     }
 }
+
+/// As [`copy_text`], of a value that was made JSON.
+///
+/// # Errors
+/// As [`copy_text`], and where the value has no JSON.
+pub unsafe fn copy_json(
+    what: &str,
+    json: serde_json::Result<String>,
+    to: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> Result<(), Failure> {
+    let json = json.map_err(|error| Failure::argument(format!("{what}: {error}")))?;
+    // SAFETY: as this function demands.
+    unsafe { copy_text(what, &json, to, capacity, length) }
+}

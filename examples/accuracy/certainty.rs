@@ -75,13 +75,12 @@ const GROUPS: [(&str, &[&str]); 4] = [
 pub(super) struct Certainty(Vec<(f64, f64)>);
 
 impl Certainty {
-    /// Of the supported nodes of a sweep.
-    pub(super) fn of(surface: &Surface, truth: &Truth) -> Result<Self> {
-        let error_mm = evaluate(surface, truth)?.error_mm;
+    /// Of the supported nodes of a sweep, with the distance of each node from the truth.
+    pub(super) fn of(surface: &Surface, error_mm: &[f64]) -> Self {
         let array = |name| surface.array(name).unwrap_or_default();
         let (supported, standard) = (array("supported"), array("standard_error_mm"));
         let nodes = (0..error_mm.len()).filter(|&node| supported.get(node).is_some_and(|&s| s > 0.0));
-        Ok(Self(nodes.map(|node| (error_mm[node].abs(), standard[node])).collect()))
+        Self(nodes.map(|node| (error_mm[node].abs(), standard[node])).collect())
     }
 
     fn share(&self, is: impl Fn(&(f64, f64)) -> bool) -> f64 {
@@ -138,8 +137,9 @@ pub(super) fn run(wanted: Option<&str>) -> Result<()> {
                 }
             };
             let surface = lumen.surface();
-            let certainty = Certainty::of(&surface, &truth)?;
-            let mean_mm = evaluate(&surface, &truth)?.mesh_to_truth.mean_mm;
+            let evaluation = evaluate(&surface, &truth)?;
+            let certainty = Certainty::of(&surface, &evaluation.error_mm);
+            let mean_mm = evaluation.mesh_to_truth.mean_mm;
             let [far, shares, rank] = certainty.cells();
             let found = match lumen.report() {
                 LumenReport::Sweep(report) => report.errors.as_ref().map(found),

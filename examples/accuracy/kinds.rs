@@ -78,9 +78,9 @@ fn row(
     let [stitched, blended] = [Merge::Stitch, Merge::Blend]
         .map(|merge| cell(reconstructed(recording, cylinders.clone().with_merge(merge)), &truth, &wall_mm));
     let swept = reconstructed(recording, Settings::default());
-    let certain = swept.as_ref().ok().map(|surface| Certainty::of(surface, &truth)).transpose()?;
-    let swept_mean_mm =
-        swept.as_ref().ok().and_then(|s| evaluate(s, &truth).ok()).map(|e| e.mesh_to_truth.mean_mm);
+    let evaluated = swept.as_ref().ok().map(|surface| evaluate(surface, &truth)).transpose()?;
+    let certain = swept.as_ref().ok().zip(evaluated.as_ref()).map(|(s, e)| Certainty::of(s, &e.error_mm));
+    let swept_mean_mm = evaluated.as_ref().map(|e| e.mesh_to_truth.mean_mm);
     let mut best: Option<(u32, Distances)> = None;
     if let Some(python) = python {
         for (depth, surface) in poisson(python, recording)? {

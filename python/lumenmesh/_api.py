@@ -270,7 +270,7 @@ class Change:
     rings: int
     """Rings of the vessel now."""
     off_axis: bool
-    """Whether the frame lies too far from the vessel's axis."""
+    """Whether the frame lies outside of the vessel's lumen: its echoes wait."""
     left_out: list[dict[str, Any]]
     """Frames that were found unfit now, and why."""
     waiting: int

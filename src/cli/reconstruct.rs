@@ -345,7 +345,7 @@ fn print_errors(errors: &sweep::RecordingErrors) {
         );
     }
     println!(
-        "           errors that are alike for more than {:.1} s do not show: no place was seen for longer (median)",
+        "           errors that stay the same for longer than {:.1} s do not show: so long was a place seen (median)",
         errors.seen_for_s
     );
     println!("           the wall is as rough as {:.3}, measured as --roughness is", errors.roughness);

@@ -104,17 +104,19 @@ fn walls_go_on_from_a_snapshot() {
     let path = folder.path().join("live.state");
     let mut whole = Live::new(&settings(Branches::Auto)).unwrap();
     let mut again = None;
+    let mut written = [false; 2];
     for (k, frame) in frames.iter().enumerate() {
         let change = whole.push(frame).unwrap();
         if let Some(again) = &mut again {
             assert!(Live::push(again, frame).unwrap() == change, "frame {k}");
         }
-        // In the middle of what waits for a wall, and with two walls.
-        if k == frames.len() * 3 / 5 {
+        // While frames wait for a wall, and with two walls.
+        let is_due = [change.off_axis && whole.branches() == 1, whole.branches() == 2];
+        if (0..2).any(|i| is_due[i] && !std::mem::replace(&mut written[i], true)) {
             whole.snapshot(&path).unwrap();
             again = Some(Live::restore(&path).unwrap());
         }
     }
-    assert_eq!(whole.branches(), 2);
+    assert_eq!((whole.branches(), written), (2, [true; 2]));
     assert!(again.unwrap().surface().nodes_mm == whole.surface().nodes_mm);
 }

@@ -72,7 +72,7 @@ pub(crate) struct Step {
     pub echoes: usize,
     /// Rings that were solved for.
     pub rings: usize,
-    /// Whether its centre is too far from the axis for its echoes to be placed.
+    /// Whether its echoes wait: its centre lies outside of the lumen.
     pub off_axis: bool,
     /// Times of moving the axis, of placing the frame's echoes, and of solving, s.
     pub axis_s: f64,
