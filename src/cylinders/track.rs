@@ -180,10 +180,11 @@ impl Track {
 
     /// What a track that was read from a file needs beside its content; `false` where that does not fit together.
     pub(in crate::cylinders) fn complete(&mut self) -> bool {
-        let mut kept = 0_usize;
+        let (mut kept, mut end) = (0, 0);
         for (&number, frame) in &self.frames {
-            let sound = frame.echoes.start <= frame.echoes.end && frame.echoes.end <= self.echoes_mm.len();
-            if !sound || number >= self.count {
+            let follows = end <= frame.echoes.start && frame.echoes.start <= frame.echoes.end;
+            end = frame.echoes.end;
+            if !follows || end > self.echoes_mm.len() || number >= self.count {
                 return false;
             }
             kept += frame.echoes.len();
@@ -268,14 +269,22 @@ impl Track {
             }
         }
         if self.echoes_mm.len() > 2 * self.kept + MIN_WASTE {
-            let mut echoes_mm = Vec::with_capacity(2 * self.kept + MIN_WASTE);
-            for frame in self.frames.values_mut() {
-                let first = echoes_mm.len();
-                echoes_mm.extend_from_slice(&self.echoes_mm[frame.echoes.clone()]);
-                frame.echoes = first..echoes_mm.len();
-            }
-            self.echoes_mm = echoes_mm;
+            self.compact();
         }
+    }
+
+    /// Takes the echoes of dropped frames out of the store, in place: a store that is allocated anew each time lets the heap
+    /// grow over many frames.
+    fn compact(&mut self) {
+        let mut end = 0;
+        for frame in self.frames.values_mut() {
+            // Frames lie in the store in their order.
+            let count = frame.echoes.len();
+            self.echoes_mm.copy_within(frame.echoes.clone(), end);
+            frame.echoes = end..end + count;
+            end += count;
+        }
+        self.echoes_mm.truncate(end);
     }
 
     /// Number of frames.

@@ -67,23 +67,29 @@ impl LiveSweep {
     /// settings: then nothing changes.
     pub fn go_on<'a>(&mut self, bytes: &'a [u8]) -> Option<&'a [u8]> {
         let (state, rest) = postcard::take_from_bytes::<Self>(bytes).ok()?;
-        let nodes = state.nodes();
-        let sound = !state.walls.is_empty()
-            && state.entered.len() <= MAX_ENTERED
-            && state.walls.iter().enumerate().all(|(k, wall)| {
-                wall.is_sound(&self.settings)
+        state
+            .is_sound(&self.settings)
+            .then(|| *self = Self { settings: std::mem::take(&mut self.settings), ..state })?;
+        Some(rest)
+    }
+
+    /// Whether this state, read from a file, may be used without a look at each index and number again.
+    fn is_sound(&self, settings: &Settings) -> bool {
+        let Some(first) = self.walls.first() else { return false };
+        self.clock_s.is_finite()
+            && self.entered.len() <= MAX_ENTERED
+            && self.walls.iter().enumerate().all(|(k, wall)| {
+                wall.is_sound(settings)
                     && (k == 0 || wall.has_begun())
-                    && (!wall.has_begun() || wall.nodes() == nodes)
+                    && (!wall.has_begun() || wall.nodes() == first.nodes())
                     && wall.parent.is_some() == (k > 0)
                     && wall.parent.is_none_or(|parent| parent < k)
             })
-            && state.entered.iter().all(|wall| {
-                wall.is_sound(&self.settings)
+            && self.entered.iter().all(|wall| {
+                wall.is_sound(settings)
                     && !wall.has_begun()
-                    && wall.parent.is_some_and(|parent| parent < state.walls.len())
-            });
-        sound.then(|| *self = Self { settings: std::mem::take(&mut self.settings), ..state })?;
-        Some(rest)
+                    && wall.parent.is_some_and(|parent| parent < self.walls.len())
+            })
     }
 
     /// Adds a frame that passes [`Frame::check`]; its number is higher than those before.
