@@ -53,8 +53,19 @@ impl FrameWall {
             scatter_mm: robust_sd(&mut distances),
             tangential_mm2: tangential_mm2(&frame.contour_mm),
         };
-        let finite = wall.world_from_probe.is_finite() && wall.centre_mm.is_finite();
-        (finite && 0.0 < radius_mm && radius_mm <= MAX_RADIUS_MM).then_some(wall)
+        wall.is_sound().then_some(wall)
+    }
+
+    /// Whether a tube can be fitted to it.
+    pub fn is_sound(&self) -> bool {
+        self.points_mm.len() >= 3
+            && self.points_mm.iter().all(|p| p.is_finite())
+            && self.centre_mm.is_finite()
+            && self.world_from_probe.is_finite()
+            && 0.0 < self.radius_mm
+            && self.radius_mm <= MAX_RADIUS_MM
+            && (0.0..=f64::MAX).contains(&self.scatter_mm)
+            && (0.0..=f64::MAX).contains(&self.tangential_mm2)
     }
 
     /// The tube that fits this frame alone: along the probe.

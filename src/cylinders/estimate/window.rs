@@ -38,8 +38,13 @@ impl WindowFit {
     /// Whether it can go on after it was read from a file.
     pub(in crate::cylinders) fn is_sound(&self) -> bool {
         self.0.fits().all(|window| {
-            let of_walls = window.walls.iter().all(|wall| wall.points_mm.len() >= 3 && wall.radius_mm > 0.0);
-            of_walls && window.walls.len() <= Self::MAX_FRAMES && window.tube.is_sound()
+            window.walls.iter().all(FrameWall::is_sound)
+                && window.walls.len() <= Self::MAX_FRAMES
+                && window.tube.is_sound()
+                && 0.0 < window.noise_mm
+                && window.noise_mm.is_finite()
+                && 0.0 <= window.tangential_mm2
+                && window.tangential_mm2.is_finite()
         })
     }
 }
