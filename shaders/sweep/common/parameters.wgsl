@@ -37,6 +37,9 @@ struct WallParameters {
     // Square of the share of the right-hand side at which the solver stops, and its largest number of steps.
     tolerance_square: f32,
     max_steps: u32,
+    // How far beyond a triangle slopes are taken: nodes to either side, and rings.
+    slope_nodes: u32,
+    slope_rings: u32,
     // Weights of the relaxations of a grid: of the first and the last, and of those between. A driver would regroup
     // products with constants.
     first_relaxation: f32,

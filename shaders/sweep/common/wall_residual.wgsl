@@ -61,8 +61,19 @@ fn residual_to_wall(echo: Echo, shift: vec2f) -> WallResidual {
     to_wall.wall = r0 + round * per_node + up * per_ring;
     to_wall.arc = parameters.step_theta * (parameters.start + to_wall.wall);
 
-    let y = -(per_node / to_wall.arc);
-    let z = -(per_ring / echo.step);
+    // Those over the noise's reach.
+    let reach = parameters.slope_nodes;
+    let behind = (j + parameters.nodes - reach) % parameters.nodes;
+    let ahead = (j + 1u + reach) % parameters.nodes;
+    let round_row = select(row + parameters.nodes, row, to_wall.bottom);
+    let around = (wall[round_row + ahead] - wall[round_row + behind]) / f32(2u * reach + 1u);
+    let low = level - min(level, parameters.slope_rings);
+    let high = min(level + 1u + parameters.slope_rings, parameters.rings - 1u);
+    let column = select(j, next, to_wall.bottom);
+    let along = (wall[high * parameters.nodes + column] - wall[low * parameters.nodes + column])
+        / f32(high - low);
+    let y = -(around / to_wall.arc);
+    let z = -(along / echo.step);
     let length = sqrt(1.0 + y * y + z * z);
     let normal = vec3f(1.0 / length, y / length, z / length);
     let image = vec3f(echo.normal_x, echo.normal_y, echo.normal_z);

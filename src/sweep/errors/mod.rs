@@ -111,7 +111,7 @@ const MAX_RATIO: f64 = 64.0;
 /// Least squared roughness that the sums of rings show.
 const MIN_SUM: f64 = 0.04;
 /// Largest squared roughness of a ring that smoothing follows: at the mouths of branches echoes of these make it seem rough.
-const MAX_RING: f64 = 4.0;
+const MAX_RING: f64 = 9.0;
 /// Largest design effect that smoothing makes up for: the variance of a wall whose echoes err alike, in units of that where
 /// they err independently. Errors that are alike over more than the reach of an echo are not smoothed away by any means.
 const MAX_DESIGN_EFFECT: f64 = 4.0;

@@ -772,7 +772,7 @@ impl GrowingVessel {
 
 /// What samples are measured about.
 fn scene<'a>(grid: &'a WallGrid, radii_mm: &'a [f64], axis: &'a Axis, noise_mm: f64) -> Scene<'a> {
-    Scene { model: ResidualModel { grid, radii_mm, noise_mm, out_of_plane: OUT_OF_PLANE }, axis }
+    Scene { model: ResidualModel::new(grid, radii_mm, noise_mm, OUT_OF_PLANE), axis }
 }
 
 /// Replaces a value in a running median.

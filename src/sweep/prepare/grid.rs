@@ -19,6 +19,20 @@ pub(in crate::sweep) struct WallGrid {
     pub arc_mm: f64,
 }
 
+/// Half the length over which the wall's slopes are taken, in standard deviations of the noise. An echo's projection moves with
+/// the wall's slope: with that of the nearest triangle, bends shorter than 2π σ attract each other's echoes and grow. See
+/// `docs/method.md`, "Wall".
+const SLOPE_SDS: f64 = 2.5;
+/// The largest share of a ring's nodes to either side.
+const MAX_SLOPE_SHARE: f64 = 0.25;
+
+/// How far beyond a triangle's edges the wall's slopes are taken: nodes to either side, and rings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::sweep) struct SlopeReach {
+    pub nodes: usize,
+    pub rings: usize,
+}
+
 /// A place on the grid: its triangle, as node indices, and its barycentric weights there.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::sweep) struct Corners {
@@ -66,6 +80,34 @@ impl WallGrid {
         } else {
             Corners { nodes: [a, a_up, b_up], weights: [1.0 - up, up - round, round], bottom: false }
         }
+    }
+
+    /// How far slopes reach where echoes have the noise `noise_mm`.
+    pub(in crate::sweep) fn slope_reach(&self, noise_mm: f64) -> SlopeReach {
+        // Half of the triangle's own edge counts.
+        let beyond = |distance_mm: f64| (SLOPE_SDS * noise_mm / distance_mm - 0.5).max(0.0).round();
+        let most = (MAX_SLOPE_SHARE * self.nodes as f64).floor();
+        let longest_mm = most * self.arc_mm;
+        SlopeReach {
+            nodes: beyond(self.arc_mm).min(most) as usize,
+            rings: beyond(self.step_mm).min(longest_mm / self.step_mm).min(self.rings as f64) as usize,
+        }
+    }
+
+    /// Slopes of the wall on the triangle of a place: per node and per ring.
+    pub(in crate::sweep) fn slopes(
+        &self,
+        corners: &Corners,
+        radii_mm: &[f64],
+        reach: SlopeReach,
+    ) -> [f64; 2] {
+        let (level, j) = (corners.nodes[0] / self.nodes, corners.nodes[0] % self.nodes);
+        let at = |ring: usize, node: usize| radii_mm[ring * self.nodes + node % self.nodes];
+        let (ring, node) = if corners.bottom { (level, j + 1) } else { (level + 1, j) };
+        let around = at(ring, j + 1 + reach.nodes) - at(ring, j + self.nodes - reach.nodes);
+        let (low, high) = (level.saturating_sub(reach.rings), (level + 1 + reach.rings).min(self.rings - 1));
+        let along = at(high, node) - at(low, node);
+        [around / (2 * reach.nodes + 1) as f64, along / (high - low) as f64]
     }
 
     /// The median radius for which [`arc_mm`](Self::arc_mm) holds, mm.

@@ -105,7 +105,7 @@ impl Wall {
     /// The model that residuals from this wall are evaluated on.
     pub(in crate::sweep) fn residual_model<'a>(&'a self, grid: &'a WallGrid) -> ResidualModel<'a> {
         let Self { radii_mm, noise_mm, out_of_plane, .. } = self;
-        ResidualModel { grid, radii_mm, noise_mm: *noise_mm, out_of_plane: *out_of_plane }
+        ResidualModel::new(grid, radii_mm, *noise_mm, *out_of_plane)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::recording::echo_error::{OUT_OF_PLANE, likeliest_direction};
 use crate::sweep::prepare::echo::Echo;
-use crate::sweep::prepare::grid::WallGrid;
+use crate::sweep::prepare::grid::{SlopeReach, WallGrid};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -25,6 +25,7 @@ pub(in crate::sweep) struct ResidualModel<'a> {
     pub noise_mm: f64,
     /// Share of the noise's variance across the image plane.
     pub out_of_plane: f64,
+    reach: SlopeReach,
 }
 
 /// The linearised equation of an echo for the radius at its projection.
@@ -39,22 +40,30 @@ pub(in crate::sweep) struct Measured {
     pub normal: DVec3,
 }
 
-impl ResidualModel<'_> {
+impl<'a> ResidualModel<'a> {
+    pub(in crate::sweep) fn new(
+        grid: &'a WallGrid,
+        radii_mm: &'a [f64],
+        noise_mm: f64,
+        out_of_plane: f64,
+    ) -> Self {
+        Self { grid, radii_mm, noise_mm, out_of_plane, reach: grid.slope_reach(noise_mm) }
+    }
+
     /// Evaluates an echo's residual on the triangle at its projection, and with `project` moves the projection.
     ///
-    /// With n the wall's normal, Σ the covariance of the echo's errors and d the vector from the projection to the echo,
+    /// With n the wall's normal, from its slopes over the [reach of the noise](WallGrid::slope_reach), Σ the covariance of the echo's errors and d the vector from the projection to the echo,
     /// the likeliest point of the wall lies along `Σn` ([`likeliest_direction`]), and the standardised residual is
     /// `nᵀd / √(nᵀΣn)`. Along the radius instead, an echo that noise moved outwards along a tilted plane would be compared
     /// with the wall farther along the axis: where a catheter rests tilted, that lifts the wall by as much as the noise.
     pub(in crate::sweep) fn measure(&self, echo: &mut Echo, project: bool) -> Measured {
-        let Self { grid, radii_mm: radii, noise_mm: noise, out_of_plane } = *self;
+        let Self { grid, radii_mm: radii, noise_mm: noise, out_of_plane, reach } = *self;
         let (ring, node) = echo.projection();
         let corners = grid.corners(ring, node);
         let [r0, r1, r2] = corners.nodes.map(|n| radii[n]);
         let [w0, w1, w2] = corners.weights;
         let wall = r0 * w0 + r1 * w1 + r2 * w2;
-        // Slopes within the triangle, per node and per ring.
-        let (per_node, per_ring) = if corners.bottom { (r1 - r0, r2 - r1) } else { (r2 - r1, r1 - r0) };
+        let [per_node, per_ring] = grid.slopes(&corners, radii, reach);
         let arc = TAU / grid.nodes as f64 * wall;
         let step = grid.step_mm * echo.stretch;
         let normal = DVec3::new(1.0, -per_node / arc, -per_ring / step).normalize();
@@ -63,8 +72,8 @@ impl ResidualModel<'_> {
         let across = normal.dot(from_projection);
         echo.residual_mm = across / variance.sqrt();
         if project {
-            let reach = (MAX_PROJECTION_SDS * noise / echo.residual_mm.abs().max(f64::MIN_POSITIVE)).min(1.0);
-            let shift = likeliest * (-across / variance * reach);
+            let share = (MAX_PROJECTION_SDS * noise / echo.residual_mm.abs().max(f64::MIN_POSITIVE)).min(1.0);
+            let shift = likeliest * (-across / variance * share);
             echo.shift = [shift.z / step, shift.y / arc];
         }
         let weight = normal.x * normal.x / variance;

@@ -65,6 +65,10 @@ pub struct WallParameters {
     pub tolerance_square: f32,
     /// Their largest number of steps.
     pub max_steps: u32,
+    /// How far beyond a triangle slopes are taken: nodes to either side …
+    pub slope_nodes: u32,
+    /// … and rings.
+    pub slope_rings: u32,
     /// Weight of the first and the last relaxation of a grid, those of the CPU's cycle …
     pub first_relaxation: f32,
     /// … and of those between.
@@ -107,13 +111,26 @@ impl WallParameters {
     /// The same with a noise of `noise_mm`.
     #[must_use]
     pub fn with_noise(self, noise_mm: f64) -> Self {
+        let reach = self.grid().slope_reach(noise_mm);
         Self {
+            slope_nodes: reach.nodes as u32,
+            slope_rings: reach.rings as u32,
             noise: noise_mm as f32,
             per_noise: (1.0 / noise_mm) as f32,
             max_projection: (MAX_PROJECTION_SDS * noise_mm) as f32,
             gate: (GATE_SDS * noise_mm) as f32,
             huber: (HUBER * noise_mm) as f32,
             ..self
+        }
+    }
+
+    /// The wall's grid.
+    fn grid(&self) -> WallGrid {
+        WallGrid {
+            rings: self.rings as usize,
+            nodes: self.nodes as usize,
+            step_mm: f64::from(self.step),
+            arc_mm: f64::from(self.arc),
         }
     }
 
@@ -169,15 +186,10 @@ impl WallParameters {
     /// these are much closer than the others, half as many of these only; the last is a line of at most
     /// [`MOST_COARSEST`] rings.
     pub fn levels(&self) -> Vec<Level> {
-        let grid = WallGrid {
-            rings: self.rings as usize,
-            nodes: self.nodes as usize,
-            step_mm: f64::from(self.step),
-            arc_mm: f64::from(self.arc),
-        };
         let is_coarsest = |grid: &WallGrid| grid.nodes == 1 && grid.rings <= MOST_COARSEST;
         let grids: Vec<WallGrid> =
-            std::iter::successors(Some(grid), |grid| (!is_coarsest(grid)).then(|| coarsened(grid))).collect();
+            std::iter::successors(Some(self.grid()), |grid| (!is_coarsest(grid)).then(|| coarsened(grid)))
+                .collect();
         let mut levels = vec![self.finest()];
         for pair in grids.windows(2) {
             let before = levels[levels.len() - 1];

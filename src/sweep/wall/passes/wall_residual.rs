@@ -35,7 +35,7 @@ pub struct WallResidual {
 pub fn residual_to_wall(
     parameters: &WallParameters,
     echo: &DeviceEcho,
-    wall: &[f32],
+    wall_mm: &[f32],
     shift: [f32; 2],
 ) -> WallResidual {
     let ring = echo.ring_part + shift[0];
@@ -62,14 +62,24 @@ pub fn residual_to_wall(
     let bottom = round >= up;
     let corners = [a, if bottom { row + next } else { row + nodes + j }, b_above];
     let weights = if bottom { [1.0 - round, round - up, up] } else { [1.0 - up, up - round, round] };
-    let [r0, r1, r2] = corners.map(|corner| wall[corner]);
+    let [r0, r1, r2] = corners.map(|corner| wall_mm[corner]);
     // Slopes within the triangle.
     let (per_node, per_ring) = if bottom { (r1 - r0, r2 - r1) } else { (r2 - r1, r1 - r0) };
     let wall = r0 + round * per_node + up * per_ring;
     let arc = parameters.step_theta * (parameters.start + wall);
 
-    let y = -(per_node / arc);
-    let z = -(per_ring / echo.step);
+    // Those over the noise's reach.
+    let reach = parameters.slope_nodes as usize;
+    let behind = (j + nodes - reach) % nodes;
+    let ahead = (j + 1 + reach) % nodes;
+    let round_row = if bottom { row } else { row + nodes };
+    let around = (wall_mm[round_row + ahead] - wall_mm[round_row + behind]) / (2 * reach + 1) as f32;
+    let low = level.saturating_sub(parameters.slope_rings as usize);
+    let high = (level + 1 + parameters.slope_rings as usize).min(parameters.rings as usize - 1);
+    let column = if bottom { next } else { j };
+    let along = (wall_mm[high * nodes + column] - wall_mm[low * nodes + column]) / (high - low) as f32;
+    let y = -(around / arc);
+    let z = -(along / echo.step);
     let length = (1.0 + y * y + z * z).sqrt();
     let normal = [1.0 / length, y / length, z / length];
     let image = echo.normal;
