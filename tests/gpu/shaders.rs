@@ -252,6 +252,7 @@ fn structures_have_the_same_layout() {
     let job = fields!(sweep::passes::WallParameters: rings, nodes, node_count, echoes, project, gated, step,
         arc, start, step_theta, in_plane, noise, per_noise, max_projection, gate, gate_radii, huber, weight_scale,
         weight_unit, rhs_scale, rhs_unit, along, around, twist, tolerance_square, max_steps,
+        slope_nodes, slope_rings,
         first_relaxation, second_relaxation);
     for pass in self::sweep() {
         let module = module(pass);
