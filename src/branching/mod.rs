@@ -26,6 +26,7 @@ use join::{Joined, Origin};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 use tube::Tube;
 
@@ -59,6 +60,7 @@ impl BranchedSweep {
         let start = Instant::now();
         let mut tree = BranchTree::of(&recording.frames, &settings.calibration.sensor_from_probe());
         let tree_s = start.elapsed().as_secs_f64();
+        let start = Instant::now();
         // A branch that cannot be swept, such as one that was hardly entered, is none.
         let mut sweeps = loop {
             if tree.is_single() {
@@ -69,6 +71,7 @@ impl BranchedSweep {
                 Err((number, why)) => tree = tree.without(number, &why),
             }
         };
+        let sweeps_s = start.elapsed().as_secs_f64();
         for (number, sweep) in sweeps.iter_mut().enumerate() {
             let frames = tree.frames_of(number);
             for last in sweep.support.last_frame.iter_mut().flatten() {
@@ -99,7 +102,8 @@ impl BranchedSweep {
         let mut whole = with_arrays(joined, &sweeps, &support);
         let of: Vec<&Sweep> = sweeps.iter().collect();
         let mouths = open_mouths(&mut whole, flat, &of, &echoes)?;
-        let seconds = BranchesTimings { tree: tree_s, join: join_s, fit: start.elapsed().as_secs_f64() };
+        let fit_s = start.elapsed().as_secs_f64();
+        let seconds = BranchesTimings { tree: tree_s, sweeps: sweeps_s, join: join_s, fit: fit_s };
         let report = BranchesReport::of(recording, &tree, &sweeps, &whole, unsewn, seconds);
         Ok(Some(Self { tree, sweeps, mouths, report, whole }))
     }
@@ -191,9 +195,8 @@ fn swept(
     progress: &StageProgress,
 ) -> Result<std::result::Result<Vec<Sweep>, (usize, String)>> {
     let count = tree.branches.len();
-    let mut sweeps = Vec::new();
-    // Small branches first: what cannot be swept is known early.
-    for number in (0..count).rev() {
+    let reached: Vec<AtomicUsize> = (0..count).map(|_| AtomicUsize::new(0)).collect();
+    let sweep = |number: usize| {
         let frames = tree.frames_of(number).into_iter().map(|k| {
             let frame = recording.frames[k].clone();
             let number = frame.number.unwrap_or(k);
@@ -201,9 +204,17 @@ fn swept(
         });
         let part = Recording { frames: frames.collect() };
         let tell = |stage: &'static str, done: usize, total: usize| -> ControlFlow<()> {
-            progress(stage, (count - 1 - number) * total + done, count * total)
+            reached[number].fetch_max(done, Ordering::Relaxed);
+            let done = reached.iter().map(|reached| reached.load(Ordering::Relaxed)).sum();
+            progress(stage, done, count * total)
         };
-        match Sweep::run(&part, settings, &tell) {
+        Sweep::run(&part, settings, &tell)
+    };
+    let found: Vec<Result<Sweep>> = (0..count).into_par_iter().map(sweep).collect();
+    let mut sweeps = Vec::new();
+    // Of several branches that cannot be swept the smallest goes first.
+    for (number, sweep) in found.into_iter().enumerate().rev() {
+        match sweep {
             Ok(sweep) => sweeps.push(sweep),
             Err(why @ (Error::Recording { .. } | Error::Surface { .. } | Error::Frame { .. }))
                 if number > 0 =>

@@ -293,7 +293,7 @@ fn print_branches(report: &BranchesReport) {
     println!(
         "time       {:.1} ms finding the branches, {:.1} ms sweeping them, {:.1} ms joining, {:.1} ms fitting where they meet",
         seconds.tree * 1e3,
-        (report.total_s() - seconds.tree - seconds.join - seconds.fit) * 1e3,
+        seconds.sweeps * 1e3,
         seconds.join * 1e3,
         seconds.fit * 1e3
     );

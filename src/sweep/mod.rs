@@ -41,8 +41,8 @@ use std::ops::ControlFlow;
 use wall::engine;
 use wall::fit::{Checkpoint, Wall};
 
-/// Told of the stage that begins, the number of stages done, and their number in all.
-pub type StageProgress<'a> = dyn Fn(&'static str, usize, usize) -> ControlFlow<()> + 'a;
+/// Told of the stage that begins, the number of stages done, and their number in all; on any thread.
+pub type StageProgress<'a> = dyn Fn(&'static str, usize, usize) -> ControlFlow<()> + Sync + 'a;
 
 /// The stages of a sweep: axis, place, fit, tracker, support.
 const STAGES: usize = 5;

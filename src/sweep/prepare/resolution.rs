@@ -11,6 +11,9 @@ use std::ops::RangeInclusive;
 
 /// Mean number of echoes per node: few where they are exact, more where noise hides what lies between.
 const ECHOES_PER_NODE: RangeInclusive<f64> = 1.0..=4.0;
+/// Distance of nodes that is short enough in any noise, in its standard deviations: noise along the wall blurs bends shorter
+/// than 2π of them.
+const SHORT_SDS: f64 = 0.3;
 /// Nodes that fit into the memory of an ordinary machine.
 const MAX_NODES: f64 = 5e7;
 /// Largest distance of two rings, in lumen radii: beyond, the wall between them would be invented.
@@ -19,7 +22,7 @@ const MAX_STEP_RADII: f64 = 2.0;
 const NODES_PER_RING: RangeInclusive<usize> = 16..=256;
 
 /// Nodes per ring, and the distance of two rings in mm, that the echoes along a vessel can determine. Contours of frames
-/// that are left out are empty.
+/// that are left out are empty; a noise that is not known is infinite.
 pub(in crate::sweep) fn resolution(
     contours_mm: &[&[DVec2]],
     length_mm: f64,
@@ -42,7 +45,9 @@ pub(in crate::sweep) fn resolution(
             let wanted = TAU * radius_mm * CELL_NOISE * settings.sweep.roughness / noise_mm;
             let used = contours_mm.iter().filter(|contour_mm| !contour_mm.is_empty());
             let rays = median(&mut used.map(|contour_mm| contour_mm.len() as f64).collect::<Vec<_>>());
-            let min = nodes(*ECHOES_PER_NODE.end()).min(rays);
+            let enough =
+                if noise_mm.is_finite() { TAU * radius_mm / (SHORT_SDS * noise_mm) } else { f64::INFINITY };
+            let min = nodes(*ECHOES_PER_NODE.end()).min(rays).min(enough);
             let max = nodes(*ECHOES_PER_NODE.start()).min(2.0 * rays);
             (wanted.min(max).max(min) as usize & !1).clamp(*NODES_PER_RING.start(), *NODES_PER_RING.end())
         }
