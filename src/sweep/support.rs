@@ -27,7 +27,8 @@ pub struct Support {
     /// The last frame with an echo of the wall there.
     pub last_frame: Vec<Option<u32>>,
     /// Whether the wall there was measured rather than extrapolated: the standard error is at most 1 % of the lumen's
-    /// radius or twice its median, no branch opens there, and some echo lies as far from the axis.
+    /// radius or twice its median (three times that in gaps that such wall encloses), no branch opens there, and some echo
+    /// lies as far from the axis.
     pub supported: Vec<bool>,
 }
 
@@ -35,6 +36,11 @@ pub struct Support {
 pub(crate) const MAX_ERROR_RADII: f64 = 0.01;
 /// … or, where that is more, in medians: noise must not cut away most of a vessel.
 pub(crate) const MAX_ERROR_MEDIANS: f64 = 2.0;
+/// Largest standard error of a node in a gap that supported wall encloses, in those of a supported node: there the wall is
+/// held from all sides.
+const MAX_GAP_ERROR: f64 = 3.0;
+/// Largest length and width of such a gap, in lumen radii: a larger one can hide a bulge or a branch.
+const MAX_GAP_RADII: f64 = 0.5;
 /// Largest share of the echoes about a node that may lie off the wall: with more it is the mouth of a branch.
 pub(crate) const MAX_OFF_WALL: f64 = 0.5;
 /// Largest radius of a supported node, in distances of the farthest echo from the axis.
@@ -104,19 +110,64 @@ impl Support {
             .iter()
             .filter(|echo| is_inlier(echo, wall.noise_mm))
             .fold(0.0_f64, |farthest, echo| farthest.max(echo.radius_mm));
-        let is_in_reach = |node: usize| is_in_reach(wall.radii_mm[node], farthest_mm);
+        let within = |max_mm: f64| {
+            let is_within = |node: usize| {
+                statistics.errors.standard_error_mm[node] <= max_mm
+                    && !statistics.is_mouth[node]
+                    && is_in_reach(wall.radii_mm[node], farthest_mm)
+            };
+            (0..grid.node_count()).map(is_within).collect::<Vec<bool>>()
+        };
+        let mut supported = within(max_mm);
+        close_gaps(grid, &mut supported, &within(MAX_GAP_ERROR * max_mm));
         Self {
             echoes: tally.own().map(|n| n as u32).collect(),
-            supported: (0..grid.node_count())
-                .map(|node| {
-                    let is_near = statistics.errors.standard_error_mm[node] <= max_mm;
-                    is_near && !statistics.is_mouth[node] && is_in_reach(node)
-                })
-                .collect(),
+            supported,
             residual_mm: statistics.residual_mm,
             standard_error_mm: statistics.errors.standard_error_mm,
             error_reach_mm: statistics.errors.reach_mm,
             last_frame: tally.last_frame,
+        }
+    }
+}
+
+/// Makes small gaps supported that reach neither end of the grid and in which every node may be.
+fn close_gaps(grid: &WallGrid, supported: &mut [bool], may_be: &[bool]) {
+    let WallGrid { rings, nodes, .. } = *grid;
+    let mut is_seen = supported.to_vec();
+    for first in 0..supported.len() {
+        if is_seen[first] {
+            continue;
+        }
+        is_seen[first] = true;
+        let mut gap = vec![first];
+        let (mut next, mut is_closed) = (0, true);
+        while next < gap.len() {
+            let (ring, node) = (gap[next] / nodes, gap[next] % nodes);
+            is_closed &= may_be[gap[next]] && ring > 0 && ring + 1 < rings;
+            // The six nodes that share a triangle with it.
+            let (after, before) = ((node + 1) % nodes, (node + nodes - 1) % nodes);
+            let beside = [(ring, after), (ring, before), (ring + 1, node), (ring + 1, after)];
+            let below = ring.checked_sub(1).into_iter().flat_map(|below| [(below, node), (below, before)]);
+            for (ring, node) in beside.into_iter().chain(below).filter(|(ring, _)| *ring < rings) {
+                let other = ring * nodes + node;
+                if !is_seen[other] {
+                    is_seen[other] = true;
+                    gap.push(other);
+                }
+            }
+            next += 1;
+        }
+        let extent_mm = |of: fn(usize, usize) -> usize, distance_mm: f64| {
+            let mut lines: Vec<usize> = gap.iter().map(|&n| of(n, nodes)).collect();
+            lines.sort_unstable();
+            lines.dedup();
+            lines.len() as f64 * distance_mm
+        };
+        let largest_mm =
+            extent_mm(|n, nodes| n / nodes, grid.step_mm).max(extent_mm(|n, nodes| n % nodes, grid.arc_mm));
+        if is_closed && largest_mm <= MAX_GAP_RADII * grid.radius_mm() {
+            gap.into_iter().for_each(|node| supported[node] = true);
         }
     }
 }
