@@ -3,6 +3,7 @@
 use super::tree::{BranchPath, BranchTree, Dismissed};
 use crate::cylinders::{CylinderReconstruction, CylindersReport};
 use crate::recording::Recording;
+use crate::surface::crossing::crossings;
 use crate::surface::{Surface, Topology};
 use crate::sweep::{Axis, Sweep, SweepReport};
 use glam::DVec3;
@@ -125,6 +126,8 @@ pub struct CylinderBranchesReport {
     pub unsewn: usize,
     /// How its triangles are connected.
     pub topology: Topology,
+    /// Pairs of its triangles that cross, as where two branches nearly touch again beside their parting.
+    pub crossings: usize,
     /// Time of each stage; those of a branch's cylinders are in its own report.
     pub seconds: BranchesTimings,
 }
@@ -173,8 +176,15 @@ impl CylinderBranchesReport {
             supported: support.iter().filter(|&&points| points > 0.0).count(),
             unsewn,
             topology: surface.topology(),
+            crossings: crossings(surface).len(),
             seconds,
         }
+    }
+
+    /// Tunnels through the surface: two branches that touch again beside their parting make one.
+    pub fn tunnels(&self) -> i64 {
+        let Topology { components, boundary_loops, euler_characteristic, .. } = self.topology;
+        (2 * components as i64 - boundary_loops as i64 - euler_characteristic) / 2
     }
 
     /// Wall-clock time of all that was done, s.

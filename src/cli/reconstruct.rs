@@ -281,6 +281,13 @@ fn print_cylinder_branches(report: &CylinderBranchesReport) {
     }
     print_dismissed(&report.dismissed);
     print_joined(report.nodes, report.supported, report.topology, report.unsewn);
+    if report.tunnels() > 0 || report.crossings > 0 {
+        println!(
+            "           {} tunnels and {} pairs of triangles that cross: branches touch again beside their parting",
+            report.tunnels(),
+            report.crossings
+        );
+    }
     let seconds = report.seconds;
     println!(
         "time       {:.1} ms finding the branches, {:.1} ms for their cylinders, {:.1} ms joining, {:.1} ms fitting where they meet",
