@@ -127,17 +127,18 @@ impl Calibration {
     }
 }
 
-/// What becomes of a vessel that branches, by the sweep.
+/// What becomes of a vessel that branches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[non_exhaustive]
 pub enum Branches {
-    /// Every branch that the catheter visited is swept by itself, and all are joined. A vessel in which one is found is
-    /// swept as with `off`.
+    /// Every branch that the catheter visited is reconstructed by itself, and all are joined. A vessel in which one is found
+    /// is reconstructed as with `off`.
     #[default]
     Auto,
-    /// One tube along the longest path through the vessel; what lies beside it counts as wrong echoes.
+    /// One tube. A sweep follows the longest path through the vessel, and what lies beside it counts as wrong echoes; cylinders
+    /// are merged as they were recorded, whichever branches they lie in.
     Off,
 }
 
@@ -152,8 +153,6 @@ pub struct SweepSettings {
     /// τ: how much the wall is expected to bend relative to its own size, dimensionless. The wall is smoothed with the
     /// weight λ = (noise/τ)².
     pub roughness: f64,
-    /// What becomes of a vessel that branches.
-    pub branches: Branches,
     /// Whether the surface keeps the parts that no echo supports (marked by the node array `supported`).
     pub keep_unsupported: bool,
     /// Whether a small error of every pose is estimated together with the wall and removed. It pays where the tracker is
@@ -176,7 +175,6 @@ impl Default for SweepSettings {
         Self {
             nodes: None,
             roughness: 0.125,
-            branches: Branches::Auto,
             keep_unsupported: false,
             correct_poses: false,
             even_smoothness: false,
@@ -189,7 +187,6 @@ impl Default for SweepSettings {
 setters!(SweepSettings {
     with_nodes => nodes: Option<u32>,
     with_roughness => roughness: f64,
-    with_branches => branches: Branches,
     with_keep_unsupported => keep_unsupported: bool,
     with_correct_poses => correct_poses: bool,
     with_even_smoothness => even_smoothness: bool,
@@ -210,6 +207,8 @@ pub struct Settings {
     /// best one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub adapter: Option<String>,
+    /// What becomes of a vessel that branches. A live reconstruction by cylinders follows the frames as they come.
+    pub branches: Branches,
     /// N: nodes per ring, at least 3.
     pub nodes: u32,
     /// L: levels of faces, at least 1; a tube has L + 1 rings.
@@ -244,6 +243,7 @@ impl Default for Settings {
             method: Method::Sweep,
             backend: Backend::Auto,
             adapter: None,
+            branches: Branches::Auto,
             nodes: 12,
             levels: 5,
             height_mm: 10.0,
@@ -267,6 +267,7 @@ setters!(Settings {
     with_method => method: Method,
     with_backend => backend: Backend,
     with_adapter => adapter: Option<String>,
+    with_branches => branches: Branches,
     with_nodes => nodes: u32,
     with_levels => levels: u32,
     with_height_mm => height_mm: f64,
@@ -288,13 +289,27 @@ impl Settings {
     pub fn read_toml(path: &Path) -> Result<Self> {
         let text =
             std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
-        let settings: Self = toml::from_str(&text)
+        let settings = Self::parse(&text)
             .map_err(|e| Error::input(path, "settings", e.to_string().trim_end(), "settings as TOML"))?;
         settings.validate().map_err(|e| match e {
             Error::Setting { name, found, expected } => Error::input(path, name, found, expected),
             other => other,
         })?;
         Ok(settings)
+    }
+
+    /// Settings out of TOML, unchecked.
+    pub(crate) fn parse(text: &str) -> std::result::Result<Self, toml::de::Error> {
+        let Ok(mut table) = text.parse::<toml::Table>() else { return toml::from_str(text) };
+        let of_sweep = table.get_mut("sweep").and_then(toml::Value::as_table_mut);
+        match of_sweep.and_then(|sweep| sweep.remove(BRANCHES)) {
+            // The whole text, so that an error names its line.
+            None => toml::from_str(text),
+            Some(branches) => {
+                table.entry(BRANCHES).or_insert(branches);
+                table.try_into()
+            }
+        }
     }
 
     /// Sets one setting by its name, in words: `set("method", "cylinders")`, `set("sweep.nodes", "64")`,
@@ -320,8 +335,9 @@ impl Settings {
             }
         };
         let mut table = toml::Table::try_from(&*self).map_err(|e| invalid(&e))?;
-        let mut parents: Vec<&str> = name.split('.').collect();
-        let last = parents.pop().unwrap_or(name);
+        let path = if name == OLD_BRANCHES { BRANCHES } else { name };
+        let mut parents: Vec<&str> = path.split('.').collect();
+        let last = parents.pop().unwrap_or(path);
         let mut inner = &mut table;
         for parent in parents {
             inner = inner
@@ -428,6 +444,10 @@ impl Settings {
     }
 }
 
+/// The name of [`Settings::branches`], and the one that it had when it was the sweep's alone, which stays valid.
+const BRANCHES: &str = "branches";
+const OLD_BRANCHES: &str = "sweep.branches";
+
 /// Whether a setting may be absent.
 fn name_of_optional(name: &str) -> bool {
     ["adapter", "sweep.nodes", "sweep.half_life_s"].contains(&name)
@@ -473,6 +493,16 @@ mod tests {
         settings.set("sweep.nodes", "none").unwrap();
         settings.set("adapter", "none").unwrap();
         assert_eq!((settings.sweep.nodes, &settings.adapter), (None, &None));
+
+        // The name that it had as a setting of the sweep.
+        settings.set("sweep.branches", "off").unwrap();
+        assert_eq!(settings.branches, Branches::Off);
+        let old = Settings::parse("[sweep]\nbranches = \"off\"\nnodes = 32\n").unwrap();
+        assert_eq!((old.branches, old.sweep.nodes), (Branches::Off, Some(32)));
+        let both = Settings::parse("branches = \"auto\"\n[sweep]\nbranches = \"off\"\n").unwrap();
+        assert_eq!(both.branches, Branches::Auto);
+        assert!(Settings::parse("[sweep]\nbranches = \"all\"\n").is_err());
+        assert!(Settings::parse("[sweep]\nbranch = \"off\"\n").is_err());
 
         let before = settings.clone();
         for (name, value, message) in [

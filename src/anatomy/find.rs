@@ -35,22 +35,32 @@ const EDGE_DIAMETERS: f64 = 0.2;
 const BAND_DIAMETERS: f64 = 0.25;
 /// The least length of a branch that ends blindly, in diameters: shorter ones are bulges.
 const BLIND_DIAMETERS: f64 = 1.0;
+/// How often the diameter is halved to find the branches of all openings; and how far, in diameters of its opening, a branch
+/// that is found so is apart at least.
+const HALVINGS: usize = 2;
+const APART_DIAMETERS: f64 = 0.5;
 /// Most nodes of the divided surface.
 const MAX_NODES: usize = 4_000_000;
 /// Improvements by planes across the axis.
 const ROUNDS: usize = 6;
 
 impl VesselTree {
-    /// The axes of a lumen: those of the sweeps of its branches, of its one sweep, or those found from the surface.
+    /// The axes of a lumen: the centrelines of its branches, that of its one sweep, or those found from the surface.
     ///
     /// # Errors
     /// As [`VesselTree::of`].
     pub fn of_lumen(lumen: &Lumen, surface: &Surface) -> Result<Self> {
-        if let Some(branched) = lumen.branches() {
-            let axes = branched.sweeps.iter().map(VesselAxis::of_sweep).collect::<Result<Vec<_>>>()?;
+        let axes: Option<Result<Vec<VesselAxis>>> = match (lumen.branches(), lumen.cylinder_branches()) {
+            (Some(branched), _) => Some(branched.sweeps.iter().map(VesselAxis::of_sweep).collect()),
+            (_, Some(branched)) => {
+                Some(branched.axes.iter().map(|axis| VesselAxis::through(&axis.points_mm)).collect())
+            }
+            _ => None,
+        };
+        if let Some(axes) = axes {
             let branch = surface.array("branch").unwrap_or_default();
             let node_branch = (0..surface.nodes_mm.len()).map(|n| branch.get(n).map_or(0, |b| *b as u32));
-            return Ok(Self { axes, node_branch: node_branch.collect() });
+            return Ok(Self { axes: axes?, node_branch: node_branch.collect() });
         }
         match lumen.sweep() {
             Some(sweep) => Ok(Self::with_axes(vec![VesselAxis::of_sweep(sweep)?], surface.nodes_mm.len())),
@@ -64,22 +74,42 @@ impl VesselTree {
     }
 
     /// Finds the axes of a surface that looks like a tube or a tree of tubes, open or closed at its ends. Nodes in one
-    /// place count as one; of several pieces the largest counts.
+    /// place count as one; of several pieces the largest counts. Branches are numbered as the node array `branch` numbers them,
+    /// where one opening lies in each of them and another one in branch 0.
     ///
     /// # Errors
     /// [`Error::Surface`] where it is no such surface: no area, or hardly any plane across it meets a closed outline.
     pub fn of(surface: &Surface) -> Result<Self> {
-        let mesh = Graph::of(surface)?;
+        let mut mesh = Graph::of(surface)?;
         let openings = mesh.openings();
-        let (source, ends) = mesh.ends(openings.clone());
-        let bands = Bands::of(&mesh, &source);
-        let (paths, node_owner) = bands.branches(&mesh, &ends, &openings.concat());
-        let node_branch: Vec<u32> = mesh.first_at.iter().map(|&node| node_owner[node as usize]).collect();
+        let numbered = numbered(surface.array("branch"), &openings);
+        let ends_of = |mesh: &Graph| numbered.clone().unwrap_or_else(|| mesh.ends(openings.clone()));
+        let (rims, blind_mm) = (openings.concat(), BLIND_DIAMETERS * mesh.diameter_mm);
+        let mut found = Bands::of(&mesh, &ends_of(&mesh), &rims, Least { blind_mm, apart: 0.0 });
+        // The mean diameter, of the whole area along the longest way, is too large in a tree: a branch that is apart over less
+        // than a band has no slice of its own.
+        for _ in 0..HALVINGS {
+            if found.hidden == 0 {
+                break;
+            }
+            mesh.diameter_mm /= 2.0;
+            mesh.divide(EDGE_DIAMETERS * mesh.diameter_mm);
+            mesh.join();
+            let finer = Bands::of(&mesh, &ends_of(&mesh), &rims, Least { blind_mm, apart: APART_DIAMETERS });
+            if finer.hidden < found.hidden {
+                found = finer;
+            }
+        }
+        let Found { paths, node_owner, diameter_mm, .. } = found;
+        let node_branch: Vec<u32> = match surface.array("branch").filter(|_| numbered.is_some()) {
+            Some(branch) => branch.iter().map(|&number| number as u32).collect(),
+            None => mesh.first_at.iter().map(|&node| node_owner[node as usize]).collect(),
+        };
         let (cutter, locator) = (Cutter::new(surface)?, Locator::new(surface)?);
         let mut axes = Vec::new();
         for (branch, path) in paths.iter().enumerate() {
             let is_own = |node: u32| node_branch[node as usize] == branch as u32;
-            match refined(&cutter, path, mesh.diameter_mm, branch > 0, &is_own) {
+            match refined(&cutter, path, diameter_mm, branch > 0, &is_own) {
                 Ok(axis) if branch > 0 => axes.push(apart(axis, &locator)?),
                 Ok(axis) => axes.push(axis),
                 Err(error) if branch == 0 => return Err(error),
@@ -222,8 +252,8 @@ impl Graph {
         finite.fold((0, -1.0), |best, (n, &d)| if d > best.1 { (n, d) } else { best }).0 as u32
     }
 
-    /// The nodes where the first axis starts; then its end and the ends of other branches, a node for each.
-    fn ends(&self, mut openings: Vec<Vec<u32>>) -> (Vec<u32>, Vec<u32>) {
+    /// The nodes where the first axis starts; then those of its end and of the ends of other branches.
+    fn ends(&self, mut openings: Vec<Vec<u32>>) -> Vec<Vec<u32>> {
         let reach = |from: &[u32], to: &[u32]| {
             let distance = self.distances(from).0;
             to.iter().map(|&n| distance[n as usize]).fold(f64::INFINITY, f64::min)
@@ -245,15 +275,22 @@ impl Graph {
             // The others from the farthest on.
             let source = openings[0].clone();
             openings[2..].sort_by(|p, q| reach(&source, q).total_cmp(&reach(&source, p)));
-            return (source, openings[1..].iter().map(|rim| rim[0]).collect());
+            return openings;
         }
         if let Some(source) = openings.pop() {
             let end = self.farthest(&self.distances(&source).0);
-            return (source, vec![end]);
+            return vec![source, vec![end]];
         }
         let a = self.farthest(&self.distances(&[self.triangles[0][0]]).0);
         let b = self.farthest(&self.distances(&[a]).0);
-        (vec![a.min(b)], vec![a.max(b)])
+        vec![vec![a.min(b)], vec![a.max(b)]]
+    }
+
+    /// Twice the mean distance of a rim's nodes from their middle, mm.
+    fn width_mm(&self, rim: &[u32]) -> f64 {
+        let at = |n: &u32| self.nodes_mm[*n as usize];
+        let middle = rim.iter().map(at).sum::<DVec3>() / rim.len() as f64;
+        2.0 * rim.iter().map(|n| at(n).distance(middle)).sum::<f64>() / rim.len() as f64
     }
 
     /// The openings at which a tube ends, by their nodes; not the holes in a tube's side, whose rims lie in the wall. By
@@ -295,6 +332,21 @@ impl Graph {
         openings.sort_by_key(|(_, nodes)| nodes[0]);
         openings.into_iter().map(|(_, nodes)| nodes).collect()
     }
+}
+
+/// The openings in the order of the branches that end there: both of branch 0, that with the lowest node first, and one of
+/// each other branch. `None` where the numbers of the nodes' branches are missing or say something else.
+fn numbered(branch: Option<&[f64]>, openings: &[Vec<u32>]) -> Option<Vec<Vec<u32>>> {
+    let branch = branch?;
+    let number = |rim: &Vec<u32>| {
+        let mut of: Vec<f64> = rim.iter().filter_map(|&node| branch.get(node as usize).copied()).collect();
+        median(&mut of)
+    };
+    let mut ordered: Vec<(f64, &Vec<u32>)> = openings.iter().map(|rim| (number(rim), rim)).collect();
+    ordered.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1[0].cmp(&b.1[0])));
+    let expected = (0..openings.len()).map(|k| k.saturating_sub(1) as f64);
+    let fits = openings.len() > 2 && ordered.iter().map(|(number, _)| *number).eq(expected);
+    fits.then(|| ordered.into_iter().map(|(_, rim)| rim.clone()).collect())
 }
 
 /// An edge of one triangle only, and that triangle's normal, whichever its sign.
@@ -339,8 +391,34 @@ struct Bands {
     slice: Vec<u32>,
 }
 
+/// How long branches are at least.
+#[derive(Clone, Copy)]
+struct Least {
+    /// Those that end blindly, mm.
+    blind_mm: f64,
+    /// How far the branch of an opening is apart, in diameters of the opening.
+    apart: f64,
+}
+
+/// The branches of a surface.
+struct Found {
+    /// The middles of the slices along each branch from its start on.
+    paths: Vec<Vec<DVec3>>,
+    /// Of each node its branch.
+    node_owner: Vec<u32>,
+    /// Openings at which no branch ends.
+    hidden: usize,
+    /// The diameter that the height of the bands was taken from.
+    diameter_mm: f64,
+}
+
 impl Bands {
-    fn of(mesh: &Graph, source: &[u32]) -> Self {
+    /// The branches between the first of some ends and the others.
+    fn of(mesh: &Graph, ends: &[Vec<u32>], rims: &[u32], least: Least) -> Found {
+        Self::from(mesh, &ends[0]).branches(mesh, &ends[1..], rims, least)
+    }
+
+    fn from(mesh: &Graph, source: &[u32]) -> Self {
         let (distance, before) = mesh.distances(source);
         let height = BAND_DIAMETERS * mesh.diameter_mm;
         let band = |node: u32| (distance[node as usize] / height) as u64;
@@ -356,8 +434,7 @@ impl Bands {
         Self { distance, before, slice }
     }
 
-    /// The middles of the slices along each branch from its start on, and of each node its branch.
-    fn branches(&self, mesh: &Graph, ends: &[u32], rims: &[u32]) -> (Vec<Vec<DVec3>>, Vec<u32>) {
+    fn branches(&self, mesh: &Graph, ends: &[Vec<u32>], rims: &[u32], least: Least) -> Found {
         let mut sums: BTreeMap<u32, (DVec3, f64)> = BTreeMap::new();
         let mut top: BTreeMap<u32, u32> = BTreeMap::new();
         for node in 0..mesh.nodes_mm.len() as u32 {
@@ -399,8 +476,9 @@ impl Bands {
 
         let mut owner: BTreeMap<u32, u32> = BTreeMap::new();
         let mut paths: Vec<Vec<DVec3>> = Vec::new();
-        let known = ends.iter().map(|&end| (end, true));
-        for (end, is_opening) in known.chain(blind.into_iter().map(|end| (end, false))) {
+        let mut hidden = 0;
+        let known = ends.iter().map(|rim| (rim[0], Some(rim)));
+        for (end, opening) in known.chain(blind.into_iter().map(|end| (end, None))) {
             // From the end back to the start, or to a branch that is known.
             let mut slices = Vec::new();
             let mut node = end;
@@ -418,12 +496,16 @@ impl Bands {
                 }
                 node = before;
             };
-            let length = self.distance[end as usize] - self.distance[node as usize];
-            let is_branch = match joins {
-                None => paths.is_empty(),
-                Some(_) if is_opening => slices.len() >= 2,
-                Some(_) => length >= BLIND_DIAMETERS * mesh.diameter_mm,
+            let start = self.distance[node as usize];
+            let is_branch = match (joins, opening) {
+                (None, _) => paths.is_empty(),
+                (Some(_), Some(rim)) => {
+                    let farthest = rim.iter().map(|&n| self.distance[n as usize]).fold(0.0, f64::max);
+                    slices.len() >= 2 && farthest - start >= least.apart * mesh.width_mm(rim)
+                }
+                (Some(_), None) => self.distance[end as usize] - start >= least.blind_mm,
             };
+            hidden += usize::from(!is_branch && opening.is_some());
             let branch = match joins {
                 _ if is_branch => paths.len() as u32,
                 Some((_, branch)) => branch,
@@ -454,8 +536,8 @@ impl Bands {
             };
             owner.insert(slice, branch);
         }
-        let of_node = self.slice.iter().map(|slice| owner.get(slice).copied().unwrap_or(0)).collect();
-        (paths, of_node)
+        let node_owner = self.slice.iter().map(|slice| owner.get(slice).copied().unwrap_or(0)).collect();
+        Found { paths, node_owner, hidden, diameter_mm: mesh.diameter_mm }
     }
 }
 

@@ -36,6 +36,9 @@ pub struct LumenSection {
     /// the mesh does not say (`supported` or `support`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub measured_share: Option<f64>,
+    /// The branch that parts from the measured one there: the lumen is that of both, and nothing is measured. None elsewhere.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub parting: Option<u32>,
     /// Why numbers are missing or doubtful.
     pub remark: Option<String>,
 }
@@ -125,6 +128,7 @@ impl LumenSection {
             measures: Measures::NONE,
             standard_errors: None,
             measured_share: None,
+            parting: None,
             remark: Some(remark),
         }
     }
@@ -143,8 +147,18 @@ fn spacing_mm(surface: &Surface) -> f64 {
     (areas.iter().sum::<f64>() / areas.len().max(1) as f64).sqrt()
 }
 
-/// Begins the remark about an outline that is not of one branch alone.
-const RUNS_INTO: &str = "the outline runs into branch";
+/// Why there is no outline of a lumen alone.
+struct Missing {
+    remark: String,
+    /// The other branch that the outline runs into.
+    other: Option<u32>,
+}
+
+impl Missing {
+    fn because(remark: String) -> Self {
+        Self { remark, other: None }
+    }
+}
 
 /// Which outline of a plane is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -215,7 +229,10 @@ impl<'a> Sections<'a> {
         let section = |&at: &f64| {
             let mouth = mouths.iter().find(|([from, to], _)| (*from..=*to).contains(&at));
             let section = match mouth {
-                Some((_, remark)) => LumenSection::without(remark.clone()),
+                Some(&(_, other)) => LumenSection {
+                    parting: Some(other),
+                    ..LumenSection::without(format!("a parting: the outline runs into branch {other}"))
+                },
                 None => self.measure(&axis.pose(at), Choice::OfBranch(branch)),
             };
             LumenSection { at_mm: Some(at), ..section }
@@ -229,12 +246,13 @@ impl<'a> Sections<'a> {
         world_from_plane: &Pose,
         branch: u32,
     ) -> std::result::Result<SectionOutline, String> {
-        self.outline(world_from_plane, Choice::OfBranch(branch)).map(|(outline, ..)| outline)
+        let found = self.outline(world_from_plane, Choice::OfBranch(branch));
+        found.map(|(outline, ..)| outline).map_err(|missing| missing.remark)
     }
 
-    /// Where another branch opens into this one, mm along its axis, and the remark about it: where outlines run into it, and
-    /// beside that as far as the area grows towards it.
-    fn mouths(&self, axis: &VesselAxis, branch: u32) -> Vec<([f64; 2], String)> {
+    /// Where another branch opens into this one, mm along its axis, and which: where outlines run into it, and beside that as
+    /// far as the area grows towards it.
+    fn mouths(&self, axis: &VesselAxis, branch: u32) -> Vec<([f64; 2], u32)> {
         /// Distance of the planes, in diameters; least growth of the area per diameter; farthest from the others' outlines.
         const STEP: f64 = 0.05;
         const GROWTH: f64 = 0.25;
@@ -250,11 +268,11 @@ impl<'a> Sections<'a> {
             self.outline(&axis.pose(at), Choice::OfBranch(branch)).map(|found| found.0.area_mm2())
         };
         let areas: Vec<_> = at.par_iter().map(area).collect();
-        let runs_into = |k: usize| areas[k].as_ref().err().filter(|remark| remark.contains(RUNS_INTO));
-        let mut mouths: Vec<([f64; 2], String)> = Vec::new();
+        let runs_into = |k: usize| areas[k].as_ref().err().and_then(|missing| missing.other);
+        let mut mouths: Vec<([f64; 2], u32)> = Vec::new();
         let mut k = 0;
         while k < at.len() {
-            let Some(remark) = runs_into(k) else {
+            let Some(other) = runs_into(k) else {
                 k += 1;
                 continue;
             };
@@ -275,7 +293,7 @@ impl<'a> Sections<'a> {
             {
                 high += 1;
             }
-            mouths.push(([at[low], at[high]], remark.clone()));
+            mouths.push(([at[low], at[high]], other));
         }
         mouths
     }
@@ -298,7 +316,7 @@ impl<'a> Sections<'a> {
         &self,
         pose: &Pose,
         choice: Choice,
-    ) -> std::result::Result<(SectionOutline, Vec<OnEdge>, Option<String>), String> {
+    ) -> std::result::Result<(SectionOutline, Vec<OnEdge>, Option<String>), Missing> {
         let mut cut = self.cutter.cut(pose);
         let away: Vec<f64> = cut
             .outlines
@@ -309,10 +327,10 @@ impl<'a> Sections<'a> {
             })
             .collect();
         let Some(nearest) = (0..away.len()).min_by(|&a, &b| away[a].total_cmp(&away[b])) else {
-            return Err(match cut.open {
+            return Err(Missing::because(match cut.open {
                 0 => "the plane misses the mesh".into(),
                 _ => "the outline is open: the wall has a hole there".into(),
-            });
+            }));
         };
         let (outline, on_edges) = (cut.outlines.swap_remove(nearest), cut.on_edges.swap_remove(nearest));
         let off = away[nearest];
@@ -321,13 +339,15 @@ impl<'a> Sections<'a> {
             return Ok((outline, on_edges, remark));
         };
         if off > (outline.area_mm2() / PI).sqrt() {
-            return Err(match cut.open {
+            return Err(Missing::because(match cut.open {
                 0 => format!("no outline about the axis: the nearest is {off:.2} mm away"),
                 _ => "the outline is open: the wall has a hole there".into(),
-            });
+            }));
         }
         match self.tree.and_then(|tree| self.other_branch(tree, branch, pose, &outline, &on_edges)) {
-            Some(other) => Err(format!("{RUNS_INTO} {other}")),
+            Some(other) => {
+                Err(Missing { remark: format!("the outline runs into branch {other}"), other: Some(other) })
+            }
             None => Ok((outline, on_edges, None)),
         }
     }
@@ -365,7 +385,9 @@ impl<'a> Sections<'a> {
     fn measure(&self, pose: &Pose, choice: Choice) -> LumenSection {
         let (outline, on_edges, remark) = match self.outline(pose, choice) {
             Ok(found) => found,
-            Err(remark) => return LumenSection::without(remark),
+            Err(missing) => {
+                return LumenSection { parting: missing.other, ..LumenSection::without(missing.remark) };
+            }
         };
         let centroid = outline.centroid_mm();
         let chords = outline.chords();
@@ -426,7 +448,13 @@ impl<'a> Sections<'a> {
                 edges.clone().filter(|&(i, j)| is_measured(&on_edges[i]) && is_measured(&on_edges[j]));
             of_measured.map(length).fold(0.0, |sum, l| sum + l) / edges.map(length).sum::<f64>()
         });
-        LumenSection { frame: None, at_mm: None, measures, standard_errors, measured_share, remark }
+        LumenSection {
+            measures,
+            standard_errors,
+            measured_share,
+            remark,
+            ..LumenSection::without(String::new())
+        }
     }
 
     /// Centre, in the plane, and radius of the largest sphere within the wall whose centre lies in the plane inside the

@@ -1,8 +1,10 @@
 //! Vessels that branch (`docs/method.md`, section "Branches").
 //!
 //! `tree` finds the branches that the catheter visited and the frames of each; every branch is swept by itself; `join`
-//! makes one surface of the tubes, and `fit` fits it to the echoes where they meet.
+//! makes one surface of the tubes, and `fit` fits it to the echoes where they meet. `cylinders` does the same by the
+//! published method.
 
+mod cylinders;
 mod fit;
 mod join;
 mod mouths;
@@ -11,8 +13,11 @@ mod report;
 mod tree;
 mod tube;
 
+pub use cylinders::BranchedCylinders;
 pub use mouths::Mouth;
-pub use report::{BranchReport, BranchesReport, BranchesTimings};
+pub use report::{
+    BranchReport, BranchesReport, BranchesTimings, CylinderBranchReport, CylinderBranchesReport,
+};
 pub use tree::{BranchPath, BranchTree, Dismissed};
 
 use crate::recording::{Frame, Recording};
@@ -28,7 +33,7 @@ use std::f64::consts::TAU;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
-use tube::Tube;
+use tube::{Spot, Tube};
 
 /// Parts of the supported surface with a smaller share of its triangles than this are islands beyond an end.
 const LEAST_PART: f64 = 0.01;
@@ -68,10 +73,10 @@ impl BranchedSweep {
             }
             match swept(recording, &tree, settings, progress)? {
                 Ok(sweeps) => break sweeps,
-                Err((number, why)) => tree = tree.without(number, &why),
+                Err((number, why)) => tree = tree.without(number, format!("it cannot be swept: {why}")),
             }
         };
-        let sweeps_s = start.elapsed().as_secs_f64();
+        let branches_s = start.elapsed().as_secs_f64();
         for (number, sweep) in sweeps.iter_mut().enumerate() {
             let frames = tree.frames_of(number);
             for last in sweep.support.last_frame.iter_mut().flatten() {
@@ -99,11 +104,11 @@ impl BranchedSweep {
             Origin::Parting { .. } => (p, false),
         });
         let flat = flat.collect();
-        let mut whole = with_arrays(joined, &sweeps, &support);
+        let mut whole = with_arrays(joined, &tubes, &sweeps, &support);
         let of: Vec<&Sweep> = sweeps.iter().collect();
         let mouths = open_mouths(&mut whole, flat, &of, &echoes)?;
         let fit_s = start.elapsed().as_secs_f64();
-        let seconds = BranchesTimings { tree: tree_s, sweeps: sweeps_s, join: join_s, fit: fit_s };
+        let seconds = BranchesTimings { tree: tree_s, branches: branches_s, join: join_s, fit: fit_s };
         let report = BranchesReport::of(recording, &tree, &sweeps, &whole, unsewn, seconds);
         Ok(Some(Self { tree, sweeps, mouths, report, whole }))
     }
@@ -187,6 +192,12 @@ fn supported_part(whole: &Surface) -> Surface {
     part.without_small_parts(LEAST_PART).without_loose_nodes()
 }
 
+/// Some frames of a recording, with their numbers there.
+fn part(recording: &Recording, frames: &[usize]) -> Recording {
+    let frames = frames.iter().map(|&k| recording.frames[k].clone().with_number(Some(recording.number(k))));
+    Recording { frames: frames.collect() }
+}
+
 /// The sweeps of all branches, or the number of one that has none and why.
 fn swept(
     recording: &Recording,
@@ -197,12 +208,7 @@ fn swept(
     let count = tree.branches.len();
     let reached: Vec<AtomicUsize> = (0..count).map(|_| AtomicUsize::new(0)).collect();
     let sweep = |number: usize| {
-        let frames = tree.frames_of(number).into_iter().map(|k| {
-            let frame = recording.frames[k].clone();
-            let number = frame.number.unwrap_or(k);
-            frame.with_number(Some(number))
-        });
-        let part = Recording { frames: frames.collect() };
+        let part = part(recording, &tree.frames_of(number));
         let tell = |stage: &'static str, done: usize, total: usize| -> ControlFlow<()> {
             reached[number].fetch_max(done, Ordering::Relaxed);
             let done = reached.iter().map(|reached| reached.load(Ordering::Relaxed)).sum();
@@ -275,17 +281,19 @@ fn goes_round_probe(frame: &Frame) -> bool {
     turn.abs() > std::f64::consts::PI
 }
 
+/// The node of a tube's grid nearest to a place on its wall.
+fn nearest_node(tube: &Tube, spot: &Spot) -> usize {
+    let ring = (spot.ring.round() as usize).min(tube.axis.rings() - 1);
+    let j = (spot.theta_rad / TAU * tube.nodes as f64).round() as usize % tube.nodes;
+    ring * tube.nodes + j
+}
+
 /// The joined surface with the arrays of the sweeps' own surfaces, and `branch`.
-fn with_arrays(joined: Joined, sweeps: &[Sweep], support: &[Option<NodeSupport>]) -> Surface {
+fn with_arrays(joined: Joined, tubes: &[Tube], sweeps: &[Sweep], support: &[Option<NodeSupport>]) -> Surface {
     let Joined { mut surface, origin, .. } = joined;
     let nearest = |origin: &Origin| match *origin {
         Origin::Grid { tube, node } => (tube, node),
-        Origin::Parting { tube, spot } => {
-            let nodes = sweeps[tube].nodes;
-            let ring = (spot.ring.round() as usize).min(sweeps[tube].axis.rings() - 1);
-            let j = (spot.theta_rad / TAU * nodes as f64).round() as usize % nodes;
-            (tube, ring * nodes + j)
-        }
+        Origin::Parting { tube, spot } => (tube, nearest_node(&tubes[tube], &spot)),
     };
     let of: Vec<(usize, usize)> = origin.iter().map(nearest).collect();
     let mut array =

@@ -126,7 +126,7 @@ impl BranchTree {
     }
 
     /// The tree without one of its branches, whose frames go to its parent, as do the branches that leave it.
-    pub(super) fn without(mut self, branch: usize, why: &str) -> Self {
+    pub(super) fn without(mut self, branch: usize, reason: String) -> Self {
         let gone = self.branches.remove(branch);
         let parent = gone.parent.unwrap_or(0);
         let renumber = |k: usize| if k == branch { parent } else { k - usize::from(k > branch) };
@@ -140,7 +140,7 @@ impl BranchTree {
             tip_mm: gone.middle_mm[gone.middle_mm.len() - 1],
             depth_mm: gone.depth_mm,
             frames: gone.frames,
-            reason: format!("it cannot be swept: {why}"),
+            reason,
         });
         self
     }
@@ -157,6 +157,22 @@ fn owner(branches: &[BranchPath], sight: &Sight) -> usize {
 }
 
 impl BranchPath {
+    /// Where its middle leaves that of its parent, mm; `None` for the first.
+    pub(super) fn parting_mm(&self) -> Option<DVec3> {
+        self.parent.map(|_| self.middle_mm[0])
+    }
+
+    /// Why it is taken for a branch.
+    pub(super) fn reason(&self) -> String {
+        match self.parent {
+            None => "the recording begins in it".into(),
+            Some(parent) => format!(
+                "contours lie up to {:.1} mm beyond the wall of branch {parent}, in {} frames",
+                self.depth_mm, self.frames
+            ),
+        }
+    }
+
     /// [`joined`](Self::joined), in the direction of an axis through the branch.
     pub(super) fn joined_along(&self, axis: &Axis) -> [Option<usize>; 2] {
         let (first, last) = (axis.points_mm[0], axis.points_mm[axis.rings() - 1]);

@@ -37,16 +37,19 @@ pub(super) struct Spot {
 impl<'a> Tube<'a> {
     pub(super) fn of(sweep: &'a Sweep) -> Self {
         let Sweep { axis, nodes, radii_mm, .. } = sweep;
+        Self::new(axis, *nodes, radii_mm.clone(), 0..=axis.rings() - 1)
+    }
+
+    /// A tube about an axis with so many nodes per ring.
+    pub(super) fn new(
+        axis: &'a Axis,
+        nodes: usize,
+        radii_mm: Vec<f64>,
+        rings: RangeInclusive<usize>,
+    ) -> Self {
         let edge_mm = axis.step_mm;
         let reach_mm = radii_mm.iter().copied().fold(0.0, f64::max) + 4.0 * edge_mm;
-        Self {
-            axis,
-            nodes: *nodes,
-            radii_mm: radii_mm.clone(),
-            rings: 0..=axis.rings() - 1,
-            edge_mm,
-            reach_mm,
-        }
+        Self { axis, nodes, radii_mm, rings, edge_mm, reach_mm }
     }
 
     /// Median radius of the wall, mm.

@@ -2,15 +2,16 @@ use super::settings::SettingsArguments;
 use super::space::SpaceArgument;
 use super::{Shown, print_json, progress, refuse_inputs};
 use crate::anatomy::{VesselTree, check_axis_ending};
-use crate::branching::{BranchesReport, Mouth};
+use crate::branching::{BranchesReport, CylinderBranchesReport, Dismissed, Mouth};
 use crate::cylinders::{CylindersReport, write_cylinders};
 use crate::engine::EngineDescription;
 use crate::reconstruction::{Lumen, LumenReport, Reconstructor, Summary};
 use crate::recording::{LeftOut, Recording, Screening};
 use crate::settings::{Method, Settings};
-use crate::surface;
+use crate::surface::{self, Topology};
 use crate::sweep;
 use crate::{Error, Result};
+use glam::DVec3;
 use serde::Serialize;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -76,8 +77,8 @@ impl Arguments {
         let recording = self.settings.read(&self.recording)?;
         let lumen =
             lumen(&recording, &settings, self.cylinders.is_some()).map_err(|e| e.in_file(&self.recording))?;
-        if let (Some(path), Some(reconstruction)) = (&self.cylinders, lumen.cylinders()) {
-            write_cylinders(&reconstruction.cylinders, path)?;
+        if let Some(path) = &self.cylinders {
+            write_cylinders(lumen.fitted_cylinders(), path)?;
         }
         let surface = lumen.surface();
         self.space.write(&surface, &self.output)?;
@@ -165,6 +166,7 @@ pub(super) fn lumen(recording: &Recording, settings: &Settings, history: bool) -
 pub(super) fn print_report(report: LumenReport) {
     match report {
         LumenReport::Cylinders(report) => print_cylinders(report),
+        LumenReport::CylinderBranches(report) => print_cylinder_branches(report),
         LumenReport::Sweep(report) => print_sweep(report),
         LumenReport::Branches(report) => print_branches(report),
     }
@@ -230,28 +232,10 @@ fn print_branches(report: &BranchesReport) {
     if let Some(first) = report.branches.first() {
         print_engine(&first.sweep.engine, first.sweep.threads);
     }
-    print!("frames     {}", report.frames);
-    match report.frames_left_out[..] {
-        [] => println!(),
-        [first, ..] => println!(
-            ", {} left out: their contours turn back about their centres or enclose no area (the first is frame {first})",
-            report.frames_left_out.len()
-        ),
-    }
+    print_frames(report.frames, &report.frames_left_out);
     for (number, branch) in report.branches.iter().enumerate() {
         let sweep = &branch.sweep;
-        match (branch.parent, branch.parting_mm) {
-            (Some(parent), Some(at)) => {
-                println!(
-                    "branch {number:<4}leaves branch {parent} at ({:.1}, {:.1}, {:.1}) mm",
-                    at.x, at.y, at.z
-                );
-            }
-            _ => println!("branch {number:<4}the recording begins in it"),
-        }
-        if branch.parent.is_some() {
-            println!("           {}", branch.reason);
-        }
+        print_branch(number, branch.parent, branch.parting_mm, &branch.reason);
         println!(
             "           {:.1} mm long, contours of {:.2} mm radius; {} frames, {} echoes, {} off the wall; noise {:.3} mm",
             sweep.length_mm,
@@ -271,32 +255,96 @@ fn print_branches(report: &BranchesReport) {
             print_tracker(tracker);
         }
     }
-    for dismissed in &report.dismissed {
-        let at = dismissed.tip_mm;
-        println!(
-            "no branch  at ({:.1}, {:.1}, {:.1}) mm, {:.1} mm beyond the wall, {} frames: {}",
-            at.x, at.y, at.z, dismissed.depth_mm, dismissed.frames, dismissed.reason
-        );
-    }
-    println!(
-        "vessel     {} nodes, {} of them supported; {} part{}, {} openings",
-        report.nodes,
-        report.supported,
-        report.topology.components,
-        if report.topology.components == 1 { "" } else { "s" },
-        report.topology.boundary_loops
-    );
-    if report.unsewn > 0 {
-        println!("           open at {} rings near partings, which could not be joined", report.unsewn);
-    }
+    print_dismissed(&report.dismissed);
+    print_joined(report.nodes, report.supported, report.topology, report.unsewn);
     let seconds = report.seconds;
     println!(
         "time       {:.1} ms finding the branches, {:.1} ms sweeping them, {:.1} ms joining, {:.1} ms fitting where they meet",
         seconds.tree * 1e3,
-        seconds.sweeps * 1e3,
+        seconds.branches * 1e3,
         seconds.join * 1e3,
         seconds.fit * 1e3
     );
+}
+
+/// The report of a vessel of cylinders that branches for people.
+fn print_cylinder_branches(report: &CylinderBranchesReport) {
+    println!("method     cylinders in {} branches", report.branches.len());
+    if let Some(first) = report.branches.first() {
+        print_engine(&first.cylinders.engine, first.cylinders.threads);
+    }
+    print_frames(report.frames, &report.frames_left_out);
+    for (number, branch) in report.branches.iter().enumerate() {
+        print_branch(number, branch.parent, branch.parting_mm, &branch.reason);
+        println!("           {:.1} mm long", branch.length_mm);
+        print_fits(&branch.cylinders);
+    }
+    print_dismissed(&report.dismissed);
+    print_joined(report.nodes, report.supported, report.topology, report.unsewn);
+    if report.tunnels() > 0 || report.crossings > 0 {
+        println!(
+            "           {} tunnels and {} pairs of triangles that cross: branches touch again beside their parting",
+            report.tunnels(),
+            report.crossings
+        );
+    }
+    let seconds = report.seconds;
+    println!(
+        "time       {:.1} ms finding the branches, {:.1} ms for their cylinders, {:.1} ms joining, {:.1} ms fitting where they meet",
+        seconds.tree * 1e3,
+        seconds.branches * 1e3,
+        seconds.join * 1e3,
+        seconds.fit * 1e3
+    );
+}
+
+/// The number of frames, and those that belong to no branch.
+fn print_frames(frames: usize, left_out: &[usize]) {
+    print!("frames     {frames}");
+    match left_out {
+        [] => println!(),
+        [first, ..] => println!(
+            ", {} left out: their contours turn back about their centres or enclose no area (the first is frame {first})",
+            left_out.len()
+        ),
+    }
+}
+
+/// Where a branch begins, and why it is taken for one.
+fn print_branch(number: usize, parent: Option<usize>, parting_mm: Option<DVec3>, reason: &str) {
+    match (parent, parting_mm) {
+        (Some(parent), Some(at)) => {
+            println!(
+                "branch {number:<4}leaves branch {parent} at ({:.1}, {:.1}, {:.1}) mm",
+                at.x, at.y, at.z
+            );
+            println!("           {reason}");
+        }
+        _ => println!("branch {number:<4}{reason}"),
+    }
+}
+
+/// What looked like a branch and is none.
+fn print_dismissed(dismissed: &[Dismissed]) {
+    for Dismissed { tip_mm: at, depth_mm, frames, reason, .. } in dismissed {
+        println!(
+            "no branch  at ({:.1}, {:.1}, {:.1}) mm, {depth_mm:.1} mm beyond the wall, {frames} frames: {reason}",
+            at.x, at.y, at.z
+        );
+    }
+}
+
+/// The surface of joined branches.
+fn print_joined(nodes: usize, supported: usize, topology: Topology, unsewn: usize) {
+    println!(
+        "vessel     {nodes} nodes, {supported} of them supported; {} part{}, {} openings",
+        topology.components,
+        if topology.components == 1 { "" } else { "s" },
+        topology.boundary_loops
+    );
+    if unsewn > 0 {
+        println!("           open at {unsewn} rings near partings, which could not be joined");
+    }
 }
 
 /// The mouths of branches that were seen but not entered.
@@ -389,8 +437,21 @@ pub(super) fn print_engine(engine: &EngineDescription, threads: usize) {
 
 /// The report of cylinders for people.
 fn print_cylinders(report: &CylindersReport) {
-    let CylindersReport { points, seconds, .. } = report;
+    let CylindersReport { seconds, .. } = report;
     print_engine(&report.engine, report.threads);
+    print_fits(report);
+    println!("vessel     {} rings, {} nodes, {} triangles", report.rings, report.nodes, report.triangles);
+    println!(
+        "time       {:.1} ms placing frames, {:.1} ms fitting, {:.1} ms merging",
+        seconds.track * 1e3,
+        seconds.fit * 1e3,
+        seconds.merge * 1e3
+    );
+}
+
+/// The cylinders that were fitted, and to what.
+fn print_fits(report: &CylindersReport) {
+    let CylindersReport { points, .. } = report;
     print!("frames     {}, {} cylinders fitted", report.frames, report.cylinders);
     match report.estimated_cylinders {
         0 => println!(),
@@ -407,11 +468,4 @@ fn print_cylinders(report: &CylindersReport) {
     );
     let travel: Vec<String> = report.mean_travel_mm.iter().map(|t| format!("{t:.3}")).collect();
     println!("travel     {} mm (mean |travel| of a node, iteration by iteration)", travel.join(", "));
-    println!("vessel     {} rings, {} nodes, {} triangles", report.rings, report.nodes, report.triangles);
-    println!(
-        "time       {:.1} ms placing frames, {:.1} ms fitting, {:.1} ms merging",
-        seconds.track * 1e3,
-        seconds.fit * 1e3,
-        seconds.merge * 1e3
-    );
 }

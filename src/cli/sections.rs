@@ -1,7 +1,8 @@
 use super::axis::tree_of;
 use super::{Shown, print_json, read_screened, refuse_inputs};
 use crate::anatomy::{
-    Interval, Lesion, LesionKind, LesionRules, LumenSection, Measures, Profile, Sections, places, read_values,
+    Interval, Lesion, LesionKind, LesionRules, LumenSection, Measures, Profile, Sections, VesselAxis, places,
+    read_values,
 };
 use crate::output::write_atomically;
 use crate::recording::{LeftOut, Pullback, PullbackOptions};
@@ -14,7 +15,8 @@ use std::path::{Path, PathBuf};
 /// Measure a vessel's cross-sections: along its axis, or in the planes of a recording's frames
 ///
 /// Along the axis, planes across it cut the lumen every so many mm, and stenoses and aneurysms are looked for. An outline
-/// that is not that of the lumen alone (a hole in the wall, a side branch) is not measured; the line says why. With a
+/// that is not that of the lumen alone (a hole in the wall, a side branch) is not measured; the line says why. Of a vessel
+/// that branches, every branch is measured along its own axis, and the partings are named. With a
 /// recording, each frame's plane (the probe's xy-plane) cuts the mesh; of the closed outlines there, the one about the
 /// probe is measured, or the nearest one.
 #[derive(clap::Args)]
@@ -22,6 +24,7 @@ use std::path::{Path, PathBuf};
   lumenmesh sections vessel.vtp                                  # along the axis
   lumenmesh sections vessel.vtp --step 0.5 --from 20 --to 60 --csv sections.csv
   lumenmesh sections aorta.stl --at 10,25.5,80 --json
+  lumenmesh sections tree.vtp --branch 2 --step 0.5              # one branch of several
   lumenmesh sections vessel.vtp --axis axis.vtp                  # along an axis of VMTK, or of lumenmesh axis
   lumenmesh sections vessel.vtp pullback.mat                     # in the planes of the frames
   lumenmesh sections vessel.vtp pullback.mat --against by_hand.csv --column lumen_area --numbers contours.csv
@@ -40,9 +43,10 @@ pub(super) struct Arguments {
     /// The axis, as polylines in mm; found from the mesh where none is given
     #[arg(long, value_name = "VTP", conflicts_with = "recording")]
     axis: Option<PathBuf>,
-    /// Which branch of the axis, counted from 0
-    #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "recording")]
-    branch: usize,
+    /// Only this branch, counted from 0 [default: all, each along its own axis; 0 with --at, --from, --to and the columns of
+    /// HolOrama, which belong to one axis]
+    #[arg(long, value_name = "N", conflicts_with = "recording")]
+    branch: Option<usize>,
     /// A section every so many mm [default: 1, or a fiftieth of a vessel shorter than 50 mm]
     #[arg(long, value_name = "MM", conflicts_with_all = ["recording", "at"], allow_negative_numbers = true)]
     step: Option<f64>,
@@ -100,6 +104,9 @@ enum Columns {
 /// A section beside the value that it is compared with.
 #[derive(Serialize)]
 struct Line {
+    /// The branch, where several are listed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    branch: Option<u32>,
     #[serde(flatten)]
     section: LumenSection,
     /// The frame's number in the table.
@@ -131,12 +138,44 @@ struct Output<'a> {
     minimal_lumen_area: Option<Minimum>,
     #[serde(skip_serializing_if = "Option::is_none")]
     profile: Option<&'a Profile>,
+    /// The branches, where several are listed.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    branches: Vec<BranchOutput<'a>>,
     sections: &'a [Line],
+}
+
+/// What `--json` prints of one branch of several.
+#[derive(Serialize)]
+struct BranchOutput<'a> {
+    branch: u32,
+    axis_length_mm: f64,
+    minimal_lumen_area: Option<Minimum>,
+    partings: &'a [Parting],
+    profile: Option<&'a Profile>,
+}
+
+/// What is known of one branch as a whole.
+struct OfBranch {
+    branch: u32,
+    length_mm: f64,
+    partings: Vec<Parting>,
+    /// None of single places.
+    profile: Option<Profile>,
+}
+
+/// A stretch of an axis where another branch parts.
+#[derive(Serialize)]
+struct Parting {
+    branch: u32,
+    from_mm: f64,
+    to_mm: f64,
 }
 
 #[derive(Serialize)]
 struct Minimum {
     area_mm2: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    branch: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     frame: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -159,10 +198,15 @@ impl Arguments {
             ],
         )?;
         let mesh = Surface::read(&self.mesh)?.joined();
-        let (lines, profile, axis_length_mm) = match &self.recording {
-            Some(recording) => (self.in_frames(&mesh, recording)?, None, None),
-            None => self.along_axis(&mesh)?,
+        let (lines, branches) = match &self.recording {
+            Some(recording) => (self.in_frames(&mesh, recording)?, Vec::new()),
+            None => self.along_axes(&mesh)?,
         };
+        let (only, several) = match &branches[..] {
+            [only] => (Some(only), &[][..]),
+            several => (None, several),
+        };
+        let profile = only.and_then(|only| only.profile.as_ref());
         let differences = absolute_differences(&lines);
         let compared = differences.len();
         let with_value = lines.iter().filter(|line| line.against_mm2.is_some()).count();
@@ -178,12 +222,13 @@ impl Arguments {
             return print_json(&Output {
                 mesh: Shown(&self.mesh),
                 recording: self.recording.as_deref().map(Shown),
-                axis_length_mm,
+                axis_length_mm: only.map(|only| only.length_mm),
                 median_absolute_difference_percent: median,
                 compared: against(compared),
                 with_value: against(with_value),
                 minimal_lumen_area: minimum(&lines),
-                profile: profile.as_ref(),
+                profile,
+                branches: several.iter().map(|of| of.output(&lines)).collect(),
                 sections: &lines,
             });
         }
@@ -196,8 +241,17 @@ impl Arguments {
                 lines.len()
             );
         }
-        if let Some(profile) = &profile {
+        for of in several {
+            text += &format!("branch {}, {:.1} mm\n", of.branch, of.length_mm);
+            for Parting { branch, from_mm, to_mm } in &of.partings {
+                text += &format!("parting             branch {branch}, from {from_mm:.1} to {to_mm:.1} mm\n");
+            }
+            text += &of.profile.as_ref().map_or(String::new(), summary);
+        }
+        if let Some(profile) = profile {
             text += &summary(profile);
+        } else if !several.is_empty() {
+            // Each branch has its own.
         } else if let (Some(least), None) = (minimum(&lines), &self.against) {
             let frame = least.frame.unwrap_or_default();
             text += &format!("minimal lumen area: {:.3} mm² in frame {frame}\n", least.area_mm2);
@@ -206,14 +260,52 @@ impl Arguments {
         Ok(())
     }
 
-    fn along_axis(&self, mesh: &Surface) -> Result<(Vec<Line>, Option<Profile>, Option<f64>)> {
+    /// The sections along the axis that is asked for, or those of all branches one after the other.
+    fn along_axes(&self, mesh: &Surface) -> Result<(Vec<Line>, Vec<OfBranch>)> {
         let rules = LesionRules::default().with_stenosis_percent(self.stenosis);
         rules.validate()?;
         let tree = tree_of(mesh, &self.mesh, self.axis.as_deref())?;
-        let Some(axis) = tree.axes.get(self.branch) else {
-            let expected = format!("a branch below {}", tree.axes.len());
-            return Err(Error::setting("branch", self.branch.to_string(), expected));
+        let sections = Sections::of(mesh, Some(&tree)).map_err(|e| e.in_file(&self.mesh))?;
+        let is_of_one_axis =
+            !self.at.is_empty() || self.from.or(self.to).is_some() || self.columns == Columns::Holorama;
+        let numbers = match self.branch {
+            Some(number) => number..number + 1,
+            None if is_of_one_axis => 0..1,
+            None => 0..tree.axes.len(),
         };
+        let several = numbers.len() > 1;
+        let (mut lines, mut branches) = (Vec::new(), Vec::new());
+        for number in numbers {
+            let Some(axis) = tree.axes.get(number) else {
+                let expected = format!("a branch below {}", tree.axes.len());
+                return Err(Error::setting("branch", number.to_string(), expected));
+            };
+            let branch = number as u32;
+            let (found, profile) = self.along(axis, branch, &sections, &rules)?;
+            let partings = partings(&found);
+            branches.push(OfBranch { branch, length_mm: axis.length_mm(), partings, profile });
+            lines.extend(
+                found.into_iter().map(|section| Line { branch: several.then_some(branch), ..alone(section) }),
+            );
+        }
+        if lines.iter().all(|line| line.section.measures.area_mm2.is_nan()) {
+            eprintln!(
+                "lumenmesh: warning: {}: no section has an area: are mesh and axis in the same frame of reference, and \
+                 is the wall whole (see reconstruct --keep-unsupported)?",
+                self.mesh.display()
+            );
+        }
+        Ok((lines, branches))
+    }
+
+    /// The sections along one axis; with their profile unless they are single places.
+    fn along(
+        &self,
+        axis: &VesselAxis,
+        branch: u32,
+        sections: &Sections,
+        rules: &LesionRules,
+    ) -> Result<(Vec<LumenSection>, Option<Profile>)> {
         let length = axis.length_mm();
         let (from, to) = (self.from.unwrap_or(0.0), self.to.unwrap_or(length));
         let expected = || format!("a region within the axis, 0 to {length:.1} mm, that has a length");
@@ -230,18 +322,9 @@ impl Arguments {
                 at.iter().copied().filter(|at| (from..=to).contains(at)).collect()
             }
         };
-        let sections = Sections::of(mesh, Some(&tree)).map_err(|e| e.in_file(&self.mesh))?;
-        let sections = sections.across(axis, self.branch as u32, &at);
-        if sections.iter().all(|section| section.measures.area_mm2.is_nan()) {
-            eprintln!(
-                "lumenmesh: warning: {}: no section has an area: are mesh and axis in the same frame of reference, and \
-                 is the wall whole (see reconstruct --keep-unsupported)?",
-                self.mesh.display()
-            );
-        }
-        // Single places are no profile.
-        let profile = self.at.is_empty().then(|| Profile::of(&sections, &rules)).transpose()?;
-        Ok((sections.into_iter().map(alone).collect(), profile, Some(length)))
+        let found = sections.across(axis, branch, &at);
+        let profile = self.at.is_empty().then(|| Profile::of(&found, rules)).transpose()?;
+        Ok((found, profile))
     }
 
     fn in_frames(&self, mesh: &Surface, path: &Path) -> Result<Vec<Line>> {
@@ -300,22 +383,45 @@ impl Arguments {
             let against_mm2 = values.get(&number).copied();
             let difference = |against: f64| 100.0 * (section.measures.area_mm2 / against - 1.0);
             let difference_percent = against_mm2.map(difference).filter(|percent| percent.is_finite());
-            Line { section, number: Some(number), against_mm2, difference_percent }
+            Line { branch: None, section, number: Some(number), against_mm2, difference_percent }
         };
         Ok(sections.into_iter().zip(numbers).map(line).collect())
     }
 }
 
-fn alone(section: LumenSection) -> Line {
-    Line { section, number: None, against_mm2: None, difference_percent: None }
+impl OfBranch {
+    fn output(&self, lines: &[Line]) -> BranchOutput<'_> {
+        let own = lines.iter().filter(|line| line.branch == Some(self.branch));
+        BranchOutput {
+            branch: self.branch,
+            axis_length_mm: self.length_mm,
+            minimal_lumen_area: minimum(own),
+            partings: &self.partings,
+            profile: self.profile.as_ref(),
+        }
+    }
 }
 
-fn minimum(lines: &[Line]) -> Option<Minimum> {
-    let measured = lines.iter().filter(|line| line.section.measures.area_mm2.is_finite());
+/// The stretches in which neighbouring sections lie where the same branch parts.
+fn partings(sections: &[LumenSection]) -> Vec<Parting> {
+    let runs = sections.chunk_by(|a, b| a.parting == b.parting);
+    let parting = |run: &[LumenSection]| {
+        let (first, last) = (run.first()?, run.last()?);
+        Some(Parting { branch: first.parting?, from_mm: first.at_mm?, to_mm: last.at_mm? })
+    };
+    runs.filter_map(parting).collect()
+}
+
+fn alone(section: LumenSection) -> Line {
+    Line { branch: None, section, number: None, against_mm2: None, difference_percent: None }
+}
+
+fn minimum<'a>(lines: impl IntoIterator<Item = &'a Line>) -> Option<Minimum> {
+    let measured = lines.into_iter().filter(|line| line.section.measures.area_mm2.is_finite());
     let area = |line: &Line| line.section.measures.area_mm2;
     let line = measured.min_by(|a, b| area(a).total_cmp(&area(b)))?;
     let LumenSection { frame, at_mm, .. } = line.section;
-    Some(Minimum { area_mm2: area(line), frame, number: line.number, at_mm })
+    Some(Minimum { area_mm2: area(line), branch: line.branch, frame, number: line.number, at_mm })
 }
 
 /// Of the frames that have both an area and a value of the table, %.
@@ -331,7 +437,9 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 }
 
 fn table(lines: &[Line], of_frames: bool, against: bool) -> String {
-    let mut text = String::from(if of_frames { "  frame" } else { "  at mm" });
+    let several = lines.iter().any(|line| line.branch.is_some());
+    let mut text = String::from(if several { "branch" } else { "" });
+    text += if of_frames { "  frame" } else { "  at mm" };
     text += "  area mm²      ±se  perimeter mm  least mm  greatest mm  equivalent mm  feret mm  inscribed mm  ecc.  measured";
     text += if against { "   number  against  difference\n" } else { "\n" };
     for line in lines {
@@ -344,6 +452,7 @@ fn table(lines: &[Line], of_frames: bool, against: bool) -> String {
         let or_dash = |value: Option<f64>, digits: usize| {
             value.filter(|v| v.is_finite()).map_or("-".into(), |v| format!("{v:.digits$}"))
         };
+        text += &line.branch.map_or(String::new(), |branch| format!("{branch:6}"));
         text += &format!(
             "{at}  {:8.3} {:>8}  {:12.3}  {:8.3}  {:11.3}  {:13.3}  {:8.3}  {:12.3}  {:4.2}  {:>8}",
             m.area_mm2,
@@ -422,9 +531,14 @@ fn interval(interval: &Interval, digits: usize) -> String {
 
 fn write_csv(lines: &[Line], path: &Path) -> Result<()> {
     let is_along = lines.iter().any(|line| line.section.at_mm.is_some());
+    let several = lines.iter().any(|line| line.branch.is_some());
     write_atomically(path, |out| {
         let mut table = csv::Writer::from_writer(out);
-        let mut head = vec![if is_along { "at_mm" } else { "frame" }.to_owned()];
+        let mut head = Vec::new();
+        if several {
+            head.extend(["branch", "parting"].map(String::from));
+        }
+        head.push(if is_along { "at_mm" } else { "frame" }.to_owned());
         head.extend(Measures::NAMES.map(String::from));
         head.extend(Measures::NAMES.map(|name| format!("{name}_se")));
         head.extend(
@@ -434,7 +548,11 @@ fn write_csv(lines: &[Line], path: &Path) -> Result<()> {
         let cell = |value: Option<f64>| value.map_or(String::new(), |v| v.to_string());
         for line in lines {
             let s = &line.section;
-            let mut row = vec![s.frame.map_or_else(|| cell(s.at_mm), |frame| frame.to_string())];
+            let mut row = Vec::new();
+            if several {
+                row.extend([line.branch, s.parting].map(|number| cell(number.map(f64::from))));
+            }
+            row.push(s.frame.map_or_else(|| cell(s.at_mm), |frame| frame.to_string()));
             row.extend(s.measures.values().map(|v| v.to_string()));
             match &s.standard_errors {
                 Some(errors) => row.extend(errors.values().map(|v| v.to_string())),

@@ -22,6 +22,9 @@ pub(super) struct SettingsArguments {
     /// see lumenmesh devices]
     #[arg(long, value_name = "NAME")]
     adapter: Option<String>,
+    /// What becomes of a vessel that branches [default: auto]
+    #[arg(long, value_enum)]
+    branches: Option<Branches>,
     /// Of cylinders: nodes per ring [default: 12]
     #[arg(long, value_name = "N")]
     nodes: Option<u32>,
@@ -55,9 +58,6 @@ pub(super) struct SettingsArguments {
     /// Of a sweep: how much a wall is expected to bend within its own size [default: 0.125]
     #[arg(long, value_name = "TAU")]
     roughness: Option<f64>,
-    /// Of a sweep: what becomes of a vessel that branches [default: auto]
-    #[arg(long, value_enum)]
-    branches: Option<Branches>,
     /// Of a sweep: keep the parts that no echo supports
     #[arg(long)]
     keep_unsupported: bool,
@@ -120,6 +120,7 @@ impl SettingsArguments {
         if self.adapter.is_some() {
             settings.adapter.clone_from(&self.adapter);
         }
+        set(&mut settings.branches, self.branches);
         set(&mut settings.nodes, self.nodes);
         set(&mut settings.levels, self.levels);
         set(&mut settings.height_mm, self.height);
@@ -133,7 +134,6 @@ impl SettingsArguments {
             settings.sweep.nodes = self.sweep_nodes;
         }
         set(&mut settings.sweep.roughness, self.roughness);
-        set(&mut settings.sweep.branches, self.branches);
         settings.sweep.keep_unsupported |= self.keep_unsupported;
         settings.sweep.correct_poses |= self.correct_poses;
         settings.sweep.even_smoothness |= self.even_smoothness;
@@ -173,7 +173,6 @@ impl SettingsArguments {
         let of_sweep = [
             ("sweep.nodes", self.sweep_nodes.is_some()),
             ("sweep.roughness", self.roughness.is_some()),
-            ("sweep.branches", self.branches.is_some()),
             ("sweep.keep_unsupported", self.keep_unsupported),
             ("sweep.correct_poses", self.correct_poses),
             ("sweep.even_smoothness", self.even_smoothness),

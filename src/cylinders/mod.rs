@@ -126,6 +126,19 @@ impl CylinderReconstruction {
         history: bool,
         progress: &(dyn Fn(usize, usize) -> ControlFlow<()> + Sync),
     ) -> Result<Self> {
+        let in_time = |cylinders: &[FittedCylinder]| MergedVessel::of(cylinders, settings.merge);
+        Self::merged_by(in_time, recording, settings, engine, history, progress)
+    }
+
+    /// As [`run`](Self::run), with the cylinders merged by a function of those in the order of their frames.
+    pub(crate) fn merged_by(
+        merged: impl FnOnce(&[FittedCylinder]) -> MergedVessel,
+        recording: &Recording,
+        settings: &Settings,
+        engine: &dyn Engine,
+        history: bool,
+        progress: &(dyn Fn(usize, usize) -> ControlFlow<()> + Sync),
+    ) -> Result<Self> {
         settings.validate()?;
         let start = Instant::now();
         let track = Track::of(recording, settings)?;
@@ -161,7 +174,7 @@ impl CylinderReconstruction {
         left_out.iter_mut().for_each(|one| one.name(recording));
 
         let start = Instant::now();
-        let vessel = MergedVessel::of(&cylinders, settings.merge);
+        let vessel = merged(&cylinders);
         let merge_seconds = start.elapsed().as_secs_f64();
 
         if vessel.rings.len() < 2 {
@@ -206,7 +219,10 @@ impl CylinderReconstruction {
 ///
 /// # Errors
 /// [`Error::Write`].
-pub fn write_cylinders(cylinders: &[FittedCylinder], path: &Path) -> Result<()> {
+pub fn write_cylinders<'a>(
+    cylinders: impl IntoIterator<Item = &'a FittedCylinder>,
+    path: &Path,
+) -> Result<()> {
     write_atomically(path, |out| {
         let mut table = csv::Writer::from_writer(out);
         table.write_record(["frame", "iteration", "ring", "node", "radius_mm"])?;

@@ -7,8 +7,10 @@ mod snapshot;
 
 pub use live::{Change, Live, Times, Work};
 
-use crate::branching::{self, BranchedSweep, BranchesReport, Mouth};
-use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, engine};
+use crate::branching::{
+    self, BranchedCylinders, BranchedSweep, BranchesReport, CylinderBranchesReport, Mouth,
+};
+use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, FittedCylinder, engine};
 use crate::recording::{Recording, Screened, Screening};
 use crate::settings::{Branches, Method, Settings};
 use crate::surface::Surface;
@@ -104,15 +106,23 @@ impl<'a> Reconstructor<'a> {
             Method::Cylinders => {
                 let tell =
                     |done, total| (self.on_progress)(Progress { stage: "fitting cylinders", done, total });
-                let engine = self.engine()?;
-                Vessel::Cylinders(
-                    CylinderReconstruction::run(recording, &self.settings, engine, self.history, &tell)
+                let (settings, engine) = (&self.settings, self.engine()?);
+                let branched = match settings.branches {
+                    Branches::Auto => BranchedCylinders::of(recording, settings, engine, self.history, &tell)
                         .map_err(named)?,
-                )
+                    Branches::Off => None,
+                };
+                match branched {
+                    Some(branched) => Vessel::CylinderBranches(branched),
+                    None => Vessel::Cylinders(
+                        CylinderReconstruction::run(recording, settings, engine, self.history, &tell)
+                            .map_err(named)?,
+                    ),
+                }
             }
             Method::Sweep => {
                 let tell = |stage, done, total| (self.on_progress)(Progress { stage, done, total });
-                let branched = match self.settings.sweep.branches {
+                let branched = match self.settings.branches {
                     Branches::Auto => BranchedSweep::of(recording, &self.settings, &tell).map_err(named)?,
                     Branches::Off => None,
                 };
@@ -120,7 +130,7 @@ impl<'a> Reconstructor<'a> {
                     Some(branched) => Vessel::Branches(branched),
                     None => {
                         let mut sweep = Sweep::run(recording, &self.settings, &tell).map_err(named)?;
-                        let mouths = match self.settings.sweep.branches {
+                        let mouths = match self.settings.branches {
                             Branches::Auto => {
                                 branching::open_mouths_of(recording, &self.settings, &mut sweep)?
                             }
@@ -158,6 +168,7 @@ pub struct Lumen {
 #[derive(Debug, Clone)]
 enum Vessel {
     Cylinders(CylinderReconstruction),
+    CylinderBranches(BranchedCylinders),
     Sweep(Sweep, Vec<Mouth>),
     Branches(BranchedSweep),
 }
@@ -169,6 +180,8 @@ enum Vessel {
 pub enum LumenReport<'a> {
     /// By the published method.
     Cylinders(&'a CylindersReport),
+    /// By the published method, of a vessel that branches.
+    CylinderBranches(&'a CylinderBranchesReport),
     /// By the sweep.
     Sweep(&'a SweepReport),
     /// By the sweep, of a vessel that branches.
@@ -205,7 +218,7 @@ impl Lumen {
     /// branches are not looked for.
     pub fn mouths(&self) -> &[Mouth] {
         match &self.vessel {
-            Vessel::Cylinders(_) => &[],
+            Vessel::Cylinders(_) | Vessel::CylinderBranches(_) => &[],
             Vessel::Sweep(_, mouths) => mouths,
             Vessel::Branches(branched) => &branched.mouths,
         }
@@ -222,10 +235,12 @@ impl Lumen {
     }
 
     /// The lumen as a triangle surface with arrays per node: [`MergedVessel::surface`](crate::cylinders::merge::MergedVessel::surface),
-    /// [`Sweep::surface`] and [`BranchedSweep::surface`] say which. Parts of a sweep that no echo supports are cut off unless the settings keep them.
+    /// [`BranchedCylinders::surface`], [`Sweep::surface`] and [`BranchedSweep::surface`] say which. Parts of a sweep that no
+    /// echo supports are cut off unless the settings keep them.
     pub fn surface(&self) -> Surface {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => cylinders.vessel.surface(),
+            Vessel::CylinderBranches(branched) => branched.surface().clone(),
             Vessel::Sweep(sweep, _) => sweep.surface(self.settings.sweep.keep_unsupported),
             Vessel::Branches(branched) => branched.surface(self.settings.sweep.keep_unsupported),
         }
@@ -235,24 +250,46 @@ impl Lumen {
     pub fn report(&self) -> LumenReport<'_> {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => LumenReport::Cylinders(&cylinders.report),
+            Vessel::CylinderBranches(branched) => LumenReport::CylinderBranches(&branched.report),
             Vessel::Sweep(sweep, _) => LumenReport::Sweep(&sweep.report),
             Vessel::Branches(branched) => LumenReport::Branches(&branched.report),
         }
     }
 
-    /// The fitted cylinders and the vessel merged from them; `None` of a sweep.
+    /// The fitted cylinders and the vessel merged from them; `None` of a sweep, and of a vessel that branches.
     pub fn cylinders(&self) -> Option<&CylinderReconstruction> {
         match &self.vessel {
             Vessel::Cylinders(cylinders) => Some(cylinders),
-            Vessel::Sweep(..) | Vessel::Branches(_) => None,
+            Vessel::CylinderBranches(_) | Vessel::Sweep(..) | Vessel::Branches(_) => None,
         }
+    }
+
+    /// The branches and their cylinders; `None` of a sweep, and of a vessel in which one branch was found.
+    pub fn cylinder_branches(&self) -> Option<&BranchedCylinders> {
+        match &self.vessel {
+            Vessel::CylinderBranches(branched) => Some(branched),
+            Vessel::Cylinders(_) | Vessel::Sweep(..) | Vessel::Branches(_) => None,
+        }
+    }
+
+    /// All fitted cylinders in the order of their frames; none of a sweep.
+    pub fn fitted_cylinders(&self) -> Vec<&FittedCylinder> {
+        let mut all: Vec<&FittedCylinder> = match &self.vessel {
+            Vessel::Cylinders(cylinders) => cylinders.cylinders.iter().collect(),
+            Vessel::CylinderBranches(branched) => {
+                branched.reconstructions.iter().flat_map(|branch| &branch.cylinders).collect()
+            }
+            Vessel::Sweep(..) | Vessel::Branches(_) => Vec::new(),
+        };
+        all.sort_by_key(|cylinder| cylinder.frame);
+        all
     }
 
     /// Axis, radii and support of the sweep; `None` of cylinders, and of a vessel that branches.
     pub fn sweep(&self) -> Option<&Sweep> {
         match &self.vessel {
             Vessel::Sweep(sweep, _) => Some(sweep),
-            Vessel::Cylinders(_) | Vessel::Branches(_) => None,
+            Vessel::Cylinders(_) | Vessel::CylinderBranches(_) | Vessel::Branches(_) => None,
         }
     }
 
@@ -260,7 +297,7 @@ impl Lumen {
     pub fn branches(&self) -> Option<&BranchedSweep> {
         match &self.vessel {
             Vessel::Branches(branched) => Some(branched),
-            Vessel::Cylinders(_) | Vessel::Sweep(..) => None,
+            Vessel::Cylinders(_) | Vessel::CylinderBranches(_) | Vessel::Sweep(..) => None,
         }
     }
 }

@@ -81,7 +81,7 @@ impl Live {
         let broken = || Error::input(path, "content", "a state that does not hold together", "a snapshot");
         let (common, rest) = postcard::take_from_bytes::<Common<LiveScreening, Option<Vec<_>>>>(&content)
             .map_err(|_| broken())?;
-        let settings: Settings = toml::from_str(&common.settings).map_err(|_| broken())?;
+        let settings: Settings = Settings::parse(&common.settings).map_err(|_| broken())?;
         let mut live = Live::new(&settings)?;
         let rest = match &mut live.vessel {
             Vessel::Cylinders(cylinders) => cylinders.go_on(rest),

@@ -151,6 +151,7 @@ fn summary(page: &mut Page, content: &PageContent) {
         LumenReport::Cylinders(report) => cylinders::summary_rows(report),
         LumenReport::Sweep(report) => sweep::summary_rows(report),
         LumenReport::Branches(report) => branches::summary_rows(report),
+        LumenReport::CylinderBranches(report) => branches::cylinder_summary_rows(report),
     });
     page.table(&facts(rows));
     let mouths = content.lumen.mouths();

@@ -17,6 +17,7 @@ pub(crate) mod wall;
 
 pub use errors::{AlikeErrors, Beat, RecordingErrors};
 pub(crate) use live::{LiveSweep, Step};
+pub(crate) use prepare::BEYOND_RADII;
 pub use prepare::axis::Axis;
 pub(crate) use prepare::contour::Outline;
 pub(crate) use prepare::noise::outward_bias_mm;

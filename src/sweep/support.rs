@@ -357,3 +357,24 @@ impl Moments {
         1.0 + offset(self.along) + offset(self.around)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_closed_where_all_of_their_nodes_may_be() {
+        // Half a radius is 3.2 mm.
+        let grid = WallGrid { rings: 10, nodes: 40, step_mm: 1.0, arc_mm: 1.0 };
+        let at = |ring: usize, node: usize| ring * 40 + node;
+        let closed = [at(2, 39), at(2, 0), at(3, 1), at(4, 6)];
+        // At an end, with a node that must stay open, and too long.
+        let open = [at(1, 3), at(1, 4), at(3, 20), at(4, 20), at(5, 20), at(6, 20), at(9, 4)];
+        let mut supported = vec![true; 400];
+        closed.iter().chain(&open).for_each(|&node| supported[node] = false);
+        let mut may_be = vec![true; 400];
+        may_be[at(1, 4)] = false;
+        close_gaps(&grid, &mut supported, &may_be);
+        assert_eq!((0..400).filter(|&node| !supported[node]).collect::<Vec<_>>(), open);
+    }
+}

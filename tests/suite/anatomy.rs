@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use lumenmesh::anatomy::{LesionKind, LesionRules, Profile, Sections, VesselAxis, VesselTree, places};
 use lumenmesh::reconstruction::Reconstructor;
 use lumenmesh::settings::Settings;
-use lumenmesh::simulate::{self, Centreline, Insertion, Noise, Phantom, Shape};
+use lumenmesh::simulate::{self, Centreline, Insertion, Noise, Phantom, Shape, Visit};
 use lumenmesh::surface::Surface;
 use std::f64::consts::PI;
 
@@ -90,6 +90,78 @@ fn an_axis_is_found_whatever_the_surface_is_like() {
     assert!(VesselTree::of(&Surface::default()).is_err());
 }
 
+/// Distance of the nearest end of an axis to each end of a tree's centrelines, mm, the root's first.
+fn ends_off_mm(tree: &VesselTree, centrelines: &[Centreline]) -> Vec<f64> {
+    let found: Vec<DVec3> = tree
+        .axes
+        .iter()
+        .flat_map(|axis| [0.0, axis.length_mm()].map(|at| axis.pose(at).translation_mm))
+        .collect();
+    let root = centrelines[0].at(0.0).0;
+    let ends = [root].into_iter().chain(centrelines.iter().map(|line| line.at(line.length_mm()).0));
+    ends.map(|end| found.iter().map(|p| p.distance(end)).fold(f64::INFINITY, f64::min)).collect()
+}
+
+#[test]
+fn every_opening_of_a_tree_has_an_axis_that_leads_to_it() {
+    let visits = (0..4).map(|branch| Visit::new(branch, None)).collect();
+    let settings = simulate::SimulationSettings::default()
+        .with_insertion(Insertion::steady().with_visits(visits).with_record_withdrawals(false));
+    let simulation = simulated("tree", &settings);
+    let lumen = Reconstructor::new(Settings::default()).run(&simulation.recording).unwrap();
+    let (tree, deep_tree) = (wall("tree"), wall("deep_tree"));
+    // The last plane across an axis that is closed lies within half a lumen of the opening; the catheter turns back 5 mm before.
+    for (name, surface, centrelines, most_mm) in [
+        ("wall of a tree", &tree.0, &tree.1, 5.0),
+        ("wall of a deep tree", &deep_tree.0, &deep_tree.1, 5.0),
+        ("reconstructed tree", &lumen.surface(), &tree.1, 9.0),
+    ] {
+        let found = VesselTree::of(surface).unwrap();
+        let off_mm = ends_off_mm(&found, centrelines);
+        println!("{name}: {} axes, {off_mm:.1?} mm off", found.axes.len());
+        assert_eq!(found.axes.len(), centrelines.len(), "{name}");
+        assert!(off_mm.iter().all(|&mm| mm < most_mm), "{name}: {off_mm:?}");
+        // Without one of them an end has none.
+        let without = VesselTree::with_axes(found.axes[..found.axes.len() - 1].to_vec(), 0);
+        assert!(ends_off_mm(&without, centrelines).iter().any(|&mm| mm > most_mm), "{name}");
+    }
+}
+
+#[test]
+fn axes_are_numbered_as_the_nodes_are() {
+    let visits = (0..2).map(|branch| Visit::new(branch, None)).collect();
+    let settings =
+        simulate::SimulationSettings::default().with_insertion(Insertion::steady().with_visits(visits));
+    let simulation = simulated("bifurcation", &settings);
+    let mut surface = Reconstructor::new(Settings::default()).run(&simulation.recording).unwrap().surface();
+    let branch_at = |surface: &Surface, p: DVec3| {
+        let squared = |n: &usize| surface.nodes_mm[*n].distance_squared(p);
+        let nearest = (0..surface.nodes_mm.len()).min_by(|a, b| squared(a).total_cmp(&squared(b))).unwrap();
+        surface.array("branch").unwrap()[nearest]
+    };
+    let ends = |surface: &Surface| -> Vec<f64> {
+        let tree = VesselTree::of(surface).unwrap();
+        tree.axes.iter().map(|axis| branch_at(surface, axis.pose(axis.length_mm()).translation_mm)).collect()
+    };
+    assert_eq!(ends(&surface), [0.0, 1.0]);
+    let root = VesselTree::of(&surface).unwrap().axes[0].pose(0.0).translation_mm;
+    assert_eq!(branch_at(&surface, root), 0.0);
+    // The other daughter goes on from the trunk where the numbers say so.
+    let daughter = VesselTree::of(&surface).unwrap().axes[1].clone();
+    let far = daughter.pose(daughter.length_mm()).translation_mm;
+    let x = far.x.signum();
+    let numbers = surface.nodes_mm.iter().map(|p| f64::from(u8::from(p.z > 80.0 && p.x * x < 0.0)));
+    let numbers = numbers.collect();
+    surface.set_array("branch", numbers);
+    let axis = &VesselTree::of(&surface).unwrap().axes[0];
+    let end = axis.pose(axis.length_mm()).translation_mm;
+    assert!(end.distance(far) < 3.0, "{end} {far}");
+    // Numbers that fit no openings are not followed.
+    let without = Surface { arrays: Vec::new(), ..surface.clone() };
+    surface.set_array("branch", vec![0.0; surface.nodes_mm.len()]);
+    assert_eq!(VesselTree::of(&surface).unwrap(), VesselTree::of(&without).unwrap());
+}
+
 #[test]
 fn branches_are_told_apart_and_no_section_runs_into_one() {
     for (shape, count) in [("side_branch", 2), ("bifurcation", 2)] {
@@ -101,6 +173,8 @@ fn branches_are_told_apart_and_no_section_runs_into_one() {
         let found = sections.across(axis, 0, &places(0.0, axis.length_mm(), 1.0).unwrap());
         let named =
             found.iter().filter(|s| s.remark.as_ref().is_some_and(|r| r.contains("runs into branch 1")));
+        assert!(named.clone().all(|s| s.parting == Some(1)), "{shape}");
+        assert!(found.iter().all(|s| s.parting.is_none() || s.measures.area_mm2.is_nan()), "{shape}");
         assert!(named.count() >= 5, "{shape}");
         // The trunk's and the daughter's radii bound what is measured; a mouth in it would be half as large again.
         let most = PI * if shape == "side_branch" { 11.6_f64 } else { 11.5 }.powi(2);
@@ -312,6 +386,53 @@ fn sections_along_the_axis_as_a_user_asks_for_them() {
         let (found, _, said) = run(arguments);
         assert!(found == status && said.contains(expected), "{arguments:?}: {found} {said}");
     }
+}
+
+#[test]
+fn every_branch_has_sections_along_its_own_axis() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let (status, said, errors) = lumenmesh(arguments, folder.path());
+        assert!(status == 0, "{arguments:?}\n{said}{errors}");
+        said
+    };
+    wall("side_branch").0.write(&folder.path().join("side.vtp")).unwrap();
+    let said = run(&["sections", "side.vtp", "--csv", "all.csv"]);
+    assert!(said.starts_with("branch") && said.contains("\nparting             branch 1, from"), "{said}");
+    assert_eq!(said.matches("minimal lumen area").count(), 2, "{said}");
+    let json: serde_json::Value = serde_json::from_str(&run(&["sections", "side.vtp", "--json"])).unwrap();
+    let sections = json["sections"].as_array().unwrap();
+    // Radii of the phantom.
+    for (branch, radius_mm) in [(0, 11.0), (1, 6.0)] {
+        let own = sections.iter().filter(|s| s["branch"] == branch);
+        let areas: Vec<f64> = own.clone().filter_map(|s| s["area_mm2"].as_f64()).collect();
+        let expected = PI * f64::powi(radius_mm, 2);
+        let middle = median(areas.clone());
+        assert!((middle / expected - 1.0).abs() < 0.05, "branch {branch}: {middle} against {expected}");
+        // The same as when it is asked for alone.
+        let number = branch.to_string();
+        let alone = run(&["sections", "side.vtp", "--branch", &number, "--json"]);
+        let alone: serde_json::Value = serde_json::from_str(&alone).unwrap();
+        assert!(alone["branches"].is_null() && alone["sections"][0]["branch"].is_null());
+        let of_alone: Vec<f64> =
+            alone["sections"].as_array().unwrap().iter().filter_map(|s| s["area_mm2"].as_f64()).collect();
+        assert_eq!(of_alone, areas);
+        assert_eq!(json["branches"][branch]["profile"], alone["profile"]);
+        assert_eq!(json["branches"][branch]["axis_length_mm"], alone["axis_length_mm"]);
+    }
+    let parting = &json["branches"][0]["partings"][0];
+    assert_eq!(parting["branch"], 1);
+    let within = |s: &serde_json::Value| {
+        s["branch"] == 0
+            && (parting["from_mm"].as_f64()..=parting["to_mm"].as_f64()).contains(&s["at_mm"].as_f64())
+    };
+    assert!(sections.iter().filter(|s| within(s)).all(|s| s["parting"] == 1 && s["area_mm2"].is_null()));
+    let table = std::fs::read_to_string(folder.path().join("all.csv")).unwrap();
+    assert!(table.starts_with("branch,parting,at_mm,area_mm2"), "{table}");
+    assert_eq!(table.lines().count(), sections.len() + 1);
+    // One axis only where places along it are asked for.
+    let said = run(&["sections", "side.vtp", "--at", "10,20"]);
+    assert!(said.starts_with("  at mm"), "{said}");
 }
 
 #[test]

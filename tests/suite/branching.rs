@@ -9,7 +9,7 @@ use lumenmesh::geometry::Pose;
 use lumenmesh::glam::DVec3;
 use lumenmesh::reconstruction::{Lumen, LumenReport, Reconstructor};
 use lumenmesh::recording::Recording;
-use lumenmesh::settings::{Branches, Settings};
+use lumenmesh::settings::{Branches, Merge, Method, Settings};
 use lumenmesh::simulate::{
     Insertion, Move, Noise, Phantom, Probe, Shape, Simulation, SimulationSettings, Visit,
 };
@@ -17,7 +17,13 @@ use lumenmesh::surface::{Space, Surface};
 
 fn swept(recording: &Recording, branches: Branches) -> Lumen {
     let mut settings = Settings::default();
-    settings.sweep.branches = branches;
+    settings.branches = branches;
+    Reconstructor::new(settings).run(recording).unwrap()
+}
+
+fn of_cylinders(recording: &Recording, branches: Branches, merge: Merge) -> Lumen {
+    let settings =
+        Settings::default().with_method(Method::Cylinders).with_branches(branches).with_merge(merge);
     Reconstructor::new(settings).run(recording).unwrap()
 }
 
@@ -103,30 +109,126 @@ fn visited_branches_become_one_surface() {
 }
 
 #[test]
+fn cylinders_of_visited_branches_become_one_surface() {
+    for (shape, visits) in [("bifurcation", &[0, 1][..]), ("side_branch", &[0, 1]), ("tree", &[0, 1, 2, 3])] {
+        let simulation = visiting(shape, visits, Insertion::default());
+        let wall = simulation.vessel.surface();
+        for merge in [Merge::Stitch, Merge::Blend] {
+            let lumen = of_cylinders(&simulation.recording, Branches::Auto, merge);
+            let branched = lumen.cylinder_branches().unwrap();
+            assert!(lumen.branches().is_none() && lumen.cylinders().is_none());
+            assert_eq!(branched.reconstructions.len(), visits.len(), "{shape} {merge:?}");
+            assert_eq!(branched.report.unsewn, 0, "{shape} {merge:?}");
+
+            let surface = lumen.surface();
+            let whole = surface.topology();
+            assert!(whole.is_oriented_manifold() && whole.components == 1, "{shape} {merge:?}: {whole:?}");
+            assert_eq!(whole.boundary_loops, visits.len() + 1, "{shape} {merge:?}: open at its ends only");
+            // The blended branches of the tree touch again beside a parting.
+            let touches_again = i64::from(shape == "tree" && merge == Merge::Blend);
+            assert_eq!(branched.report.tunnels(), touches_again, "{shape} {merge:?}");
+            let euler = 2 - (visits.len() as i64 + 1) - 2 * touches_again;
+            assert_eq!(whole.euler_characteristic, euler, "{shape} {merge:?}");
+
+            let mean_mm = mean_error_mm(&surface, wall);
+            let covered = coverage(&surface, &simulation.truth_recording);
+            let off = of_cylinders(&simulation.recording, Branches::Off, merge);
+            assert!(off.cylinder_branches().is_none() && off.cylinders().is_some());
+            let (mean_off_mm, covered_off) =
+                (mean_error_mm(&off.surface(), wall), coverage(&off.surface(), &simulation.truth_recording));
+            println!(
+                "{shape} {merge:?}: mean {mean_mm:.3} mm, coverage {covered:.4}; without branches {mean_off_mm:.3} mm, \
+                 {covered_off:.4}"
+            );
+            assert!(mean_mm < 0.35, "{shape} {merge:?}: {mean_mm}");
+            assert!(covered > 0.9, "{shape} {merge:?}: {covered}");
+            // One vessel of all cylinders loses branches that the catheter has left.
+            assert!(covered_off < covered - 0.1, "{shape} {merge:?}: {covered_off} against {covered}");
+
+            // A branch has cylinders of its own frames only, each with values of its own vessel.
+            for (number, of) in branched.reconstructions.iter().enumerate() {
+                let own = branched.tree.frames_of(number);
+                assert!(of.cylinders.iter().all(|c| own.binary_search(&c.frame).is_ok()), "{shape}");
+            }
+            let array = |name: &str| surface.array(name).unwrap();
+            let partings: Vec<DVec3> =
+                branched.report.branches.iter().filter_map(|branch| branch.parting_mm).collect();
+            let mut far = 0;
+            for (node, &branch) in array("branch").iter().enumerate() {
+                let at = surface.nodes_mm[node];
+                if partings.iter().all(|parting| parting.distance(at) > 35.0) {
+                    let frame = array("frame")[node] as usize;
+                    let of_frame = branched.tree.frame_branch[frame];
+                    assert_eq!(of_frame, Some(branch as usize), "{shape}: node {node}");
+                    far += 1;
+                }
+            }
+            assert!(far > 100, "{shape}: {far} nodes far from partings");
+            assert!(branched.report.supported * 10 > surface.nodes_mm.len() * 8, "{shape} {merge:?}");
+            let tree = VesselTree::of_lumen(&lumen, &surface).unwrap();
+            assert_eq!(tree.axes.len(), visits.len(), "{shape}");
+            let evaluation = evaluate(&surface, &Truth::new(wall.clone()).unwrap()).unwrap();
+            assert_eq!(evaluation.branches.len(), visits.len(), "{shape}");
+        }
+    }
+}
+
+#[test]
 fn the_surface_does_not_cross_itself() {
-    let Some(python) = python_with("numpy, pymeshlab") else { return };
-    let simulation = visiting("tree", &[0, 1, 2, 3], Insertion::default());
+    for (shape, visits) in [("bifurcation", &[0, 1][..]), ("side_branch", &[0, 1]), ("tree", &[0, 1, 2, 3])] {
+        let simulation = visiting(shape, visits, Insertion::default());
+        for merge in [Merge::Stitch, Merge::Blend] {
+            let lumen = of_cylinders(&simulation.recording, Branches::Auto, merge);
+            let reported = lumen.cylinder_branches().unwrap().report.crossings;
+            // The blended branches of the tree touch again beside a parting, and the report says so.
+            let touches_again = shape == "tree" && merge == Merge::Blend;
+            assert_eq!(reported > 0, touches_again, "{shape} {merge:?}: {reported}");
+            if let Some(found) = crossings(&lumen.surface()) {
+                assert_eq!(found > 0, touches_again, "{shape} {merge:?}: {found}, {reported} in the report");
+            }
+        }
+        if shape == "tree" {
+            let found = crossings(&swept(&simulation.recording, Branches::Auto).surface());
+            assert!(found.is_none_or(|found| found == 0), "{found:?}");
+        }
+    }
+}
+
+/// Pairs of triangles that cross, as PyMeshLab finds them; `None` where it is not there.
+fn crossings(surface: &Surface) -> Option<usize> {
+    let python = python_with("numpy, pymeshlab")?;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("tree.ply");
-    swept(&simulation.recording, Branches::Auto).surface().write(&path).unwrap();
+    surface.write(&path).unwrap();
     let said = python.run(
         "
 import sys, numpy as np, pymeshlab
 lab = pymeshlab.MeshSet(); lab.load_new_mesh(sys.argv[1])
+def pierces(p, q, triangle):
+    a, b, c = triangle
+    normal = np.cross(b - a, c - a)
+    from_p, from_q = (p - a) @ normal, (q - a) @ normal
+    if from_p * from_q >= 0: return False
+    x = p + (q - p) * (from_p / (from_p - from_q))
+    return all(np.cross(e - s, x - s) @ normal >= 0 for s, e in ((a, b), (b, c), (c, a)))
 def crossing():
     lab.compute_selection_by_self_intersections_per_face()
-    return lab.current_mesh().selected_face_number()
-assert crossing() == 0, crossing()
+    mesh = lab.current_mesh(); points = mesh.vertex_matrix()
+    faces = mesh.face_matrix()[mesh.face_selection_array()]
+    # In single precision neighbours that nearly touch seem to cross: what is said counts where it holds in double precision.
+    apart = [(f, g) for f in faces for g in faces if not set(f) & set(g)]
+    return sum(any(pierces(points[f[k]], points[f[k - 1]], points[g]) for k in range(3)) for f, g in apart)
+found = crossing()
 mesh = lab.current_mesh(); points = mesh.vertex_matrix().copy(); middle = points.mean(0)
 far = int(np.argmax(np.linalg.norm(points - middle, axis=1)))
 points[far] = 2 * middle - points[far] + 1.0
 lab.add_mesh(pymeshlab.Mesh(points, mesh.face_matrix()))
-assert crossing() > 0
-print('ok')
+assert crossing() > found
+print(found)
 ",
         &[&path],
     );
-    assert_eq!(said.trim(), "ok");
+    Some(said.trim().parse().unwrap())
 }
 
 #[test]
@@ -141,6 +243,12 @@ fn a_vessel_without_branches_is_swept_as_without_looking_for_them() {
     // One of two branches: the other one was not entered.
     let simulation = visiting("bifurcation", &[1], Insertion::default());
     assert!(swept(&simulation.recording, Branches::Auto).branches().is_none());
+    for merge in [Merge::Stitch, Merge::Blend] {
+        let found = of_cylinders(&simulation.recording, Branches::Auto, merge);
+        assert!(found.cylinder_branches().is_none() && found.cylinders().is_some());
+        let off = of_cylinders(&simulation.recording, Branches::Off, merge);
+        assert!(bits(&found.surface()) == bits(&off.surface()));
+    }
 }
 
 #[test]
@@ -148,13 +256,17 @@ fn branches_do_not_depend_on_the_threads() {
     let simulation = visiting("side_branch", &[1, 0], Insertion::steady());
     let on = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| swept(&simulation.recording, Branches::Auto).surface())
+        pool.install(|| {
+            let cylinders = of_cylinders(&simulation.recording, Branches::Auto, Merge::Stitch);
+            [swept(&simulation.recording, Branches::Auto).surface(), cylinders.surface()]
+        })
     };
-    let one = on(1);
-    assert!(bits(&one) == bits(&on(5)));
-    let mut other = one.clone();
-    other.nodes_mm[7].x += 1e-12;
-    assert!(bits(&one) != bits(&other));
+    for (one, five) in on(1).into_iter().zip(on(5)) {
+        assert!(bits(&one) == bits(&five));
+        let mut other = one.clone();
+        other.nodes_mm[7].x += 1e-12;
+        assert!(bits(&one) != bits(&other));
+    }
 }
 
 /// Simulated recordings with returns, detours, rests and second passes, and how many branches each visits.
@@ -260,6 +372,25 @@ fn the_command_names_the_branches() {
     assert!(report["branches"][1]["reason"].as_str().unwrap().contains("beyond the wall of branch 0"));
     let said = run(&["reconstruct", "two.mat", "-o", "one.vtp", "--branches", "off"]);
     assert!(said.contains("method     sweep\n"), "{said}");
+    let by_cylinders = ["reconstruct", "two.mat", "-o", "two.vtp", "--method", "cylinders"];
+    let said = run(&[&by_cylinders[..], &["--cylinders", "cylinders.csv", "--axis", "axis.vtp"]].concat());
+    assert!(said.contains("cylinders in 2 branches") && said.contains("leaves branch 0 at"), "{said}");
+    let table = std::fs::read_to_string(folder.path().join("cylinders.csv")).unwrap();
+    let frames: Vec<usize> =
+        table.lines().skip(1).map(|line| line.split(',').next().unwrap().parse().unwrap()).collect();
+    assert!(frames.is_sorted());
+    let json = run(&[&by_cylinders[..], &["--json"]].concat());
+    let report: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(report["branches"][1]["parent"], 0);
+    let fitted: u64 = (0..2).map(|k| report["branches"][k]["cylinders"]["cylinders"].as_u64().unwrap()).sum();
+    let mut distinct = frames;
+    distinct.dedup();
+    assert_eq!(fitted, distinct.len() as u64);
+    let said = run(&[&by_cylinders[..], &["--branches", "off"]].concat());
+    assert!(!said.contains("branch"), "{said}");
+    run(&["report", "two.mat", "-o", "two.html", "--method", "cylinders"]);
+    let page = std::fs::read_to_string(folder.path().join("two.html")).unwrap();
+    assert!(page.contains("cylinders of every branch, merged and joined"));
     let (status, _, errors) =
         lumenmesh(&["reconstruct", "two.mat", "-o", "x.vtp", "--branches", "all"], folder.path());
     assert!(status == 2 && errors.contains("auto"), "{errors}");

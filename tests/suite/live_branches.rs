@@ -15,7 +15,7 @@ fn visiting(shape: &str, visits: &[usize], insertion: Insertion) -> Simulation {
 
 fn settings(branches: Branches) -> Settings {
     let mut settings = Settings::default();
-    settings.sweep.branches = branches;
+    settings.branches = branches;
     settings
 }
 

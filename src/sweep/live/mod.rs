@@ -140,7 +140,7 @@ impl LiveSweep {
         let Some(centre_mm) = frame.centre_mm() else {
             return Place::Wall(frame.echo_mm().map_or(0, |echo| self.nearest_wall(echo)));
         };
-        if !self.walls[0].has_begun() || self.settings.sweep.branches == Branches::Off {
+        if !self.walls[0].has_begun() || self.settings.branches == Branches::Off {
             return Place::Wall(0);
         }
         let mut own = self.nearest_wall(centre_mm);

@@ -25,7 +25,7 @@ use rayon::prelude::*;
 use resolution::resolution;
 
 /// The axis extends beyond the centreline by this many contour radii at both ends: echoes of tilted frames lie there.
-const BEYOND_RADII: f64 = 1.5;
+pub(crate) const BEYOND_RADII: f64 = 1.5;
 
 /// A recording with the axis and the grid of its vessel: the input to the fit of the wall.
 pub(in crate::sweep) struct Prepared<'a> {
@@ -42,28 +42,28 @@ pub(in crate::sweep) struct Prepared<'a> {
     half_life_s: Option<f64>,
 }
 
-impl<'a> Prepared<'a> {
-    /// Finds the axis of a recording that passes [`Recording::check`].
-    ///
-    /// # Errors
-    /// Where most contours are not star-shaped, they cover no length of a vessel, or the settings ask for too many nodes.
-    pub(in crate::sweep) fn of(recording: &'a Recording, settings: &Settings) -> Result<Self> {
-        let frames = &recording.frames;
-        let sensor_from_probe = settings.calibration.sensor_from_probe();
+/// The course of a vessel.
+struct Course {
+    /// Outlines of the contours, without those that are left out.
+    outlines: Vec<Option<Outline>>,
+    folded_frames: Vec<usize>,
+    contour_radius_mm: f64,
+    /// The centreline, mm.
+    curve: Vec<DVec3>,
+}
+
+impl Course {
+    fn of(frames: &[Frame], sensor_from_probe: &Pose) -> Result<Self> {
         let mut outlines: Vec<Option<Outline>> = frames.par_iter().map(Outline::of).collect();
         let folded_frames = folded_frames(&outlines)?;
-        let mut contours_mm: Vec<&[DVec2]> = frames.iter().map(|frame| &frame.contour_mm[..]).collect();
-        for &k in &folded_frames {
-            outlines[k] = None;
-            contours_mm[k] = &[];
-        }
+        folded_frames.iter().for_each(|&k| outlines[k] = None);
         let contour_radius_mm =
             median(&mut outlines.iter().flatten().map(|o| o.radius_mm).collect::<Vec<_>>());
         let centres_mm: Vec<DVec3> = outlines
             .iter()
             .zip(frames)
             .filter_map(|(outline, frame)| {
-                let pose = frame.world_from_sensor * sensor_from_probe;
+                let pose = frame.world_from_sensor * *sensor_from_probe;
                 Some(pose.transform_point(outline.as_ref()?.centre_mm.extend(0.0)))
             })
             .collect();
@@ -78,6 +78,39 @@ impl<'a> Prepared<'a> {
                 expected: "contours along at least a lumen's radius of the vessel".into(),
             });
         };
+        Ok(Self { outlines, folded_frames, contour_radius_mm, curve })
+    }
+}
+
+impl Axis {
+    /// The axis of the vessel that some contours lie along, as a sweep has it; of the median radius of the contours, `rings`
+    /// makes the distance of its rings and the length by which it goes on beyond the outermost contours, mm.
+    ///
+    /// # Errors
+    /// Where most contours are not star-shaped, or they cover no length of a vessel.
+    pub(crate) fn through(
+        frames: &[Frame],
+        sensor_from_probe: &Pose,
+        rings: impl FnOnce(f64) -> [f64; 2],
+    ) -> Result<Self> {
+        let Course { contour_radius_mm, curve, .. } = Course::of(frames, sensor_from_probe)?;
+        let [step_mm, beyond_mm] = rings(contour_radius_mm);
+        Ok(Self::along(&curve, step_mm, beyond_mm))
+    }
+}
+
+impl<'a> Prepared<'a> {
+    /// Finds the axis of a recording that passes [`Recording::check`].
+    ///
+    /// # Errors
+    /// Where most contours are not star-shaped, they cover no length of a vessel, or the settings ask for too many nodes.
+    pub(in crate::sweep) fn of(recording: &'a Recording, settings: &Settings) -> Result<Self> {
+        let frames = &recording.frames;
+        let sensor_from_probe = settings.calibration.sensor_from_probe();
+        let Course { outlines, folded_frames, contour_radius_mm, curve } =
+            Course::of(frames, &sensor_from_probe)?;
+        let mut contours_mm: Vec<&[DVec2]> = frames.iter().map(|frame| &frame.contour_mm[..]).collect();
+        folded_frames.iter().for_each(|&k| contours_mm[k] = &[]);
         let length_mm = lengths(&curve).last().copied().unwrap_or(0.0);
         let noise_mm = median(&mut outlines.iter().flatten().map(|o| o.noise_mm).collect::<Vec<_>>());
         let (nodes, step_mm) = resolution(&contours_mm, length_mm, contour_radius_mm, noise_mm, settings)?;
