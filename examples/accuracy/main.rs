@@ -140,8 +140,11 @@ fn run(wanted: Option<&str>) -> Result<bool> {
         print!("{row}");
         table += &row;
     }
+    let passed = passed && python.is_some();
     println!("{}", if passed { "PASS" } else { "FAIL" });
-    if wanted.is_none() {
+    if python.is_none() {
+        println!("Poisson was not run: {TABLE} stays as it is");
+    } else if wanted.is_none() {
         let version = env!("CARGO_PKG_VERSION");
         let text = format!(
             "{BEGIN}\nlumenmesh {version}; the seed of each recording is in its name.\n\n{table}\n{END}"

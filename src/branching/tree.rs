@@ -104,6 +104,13 @@ impl BranchTree {
             })
             .collect();
         let seen: Vec<Sight> = sights.iter().flatten().copied().collect();
+        if seen.is_empty() {
+            return Self {
+                branches: Vec::new(),
+                frame_branch: vec![None; frames.len()],
+                dismissed: Vec::new(),
+            };
+        }
         let clusters = Clusters::of(&seen);
         let (tree, dismissed) = clusters.tree();
         let mut branches = tree.branches(&clusters);

@@ -6,10 +6,10 @@ use lumenmesh::anatomy::VesselTree;
 use lumenmesh::branching::BranchTree;
 use lumenmesh::evaluate::{Locator, Truth, evaluate};
 use lumenmesh::geometry::Pose;
-use lumenmesh::glam::DVec3;
+use lumenmesh::glam::{DVec2, DVec3};
 use lumenmesh::reconstruction::{Lumen, LumenReport, Reconstructor};
-use lumenmesh::recording::Recording;
-use lumenmesh::settings::{Branches, Merge, Method, Settings};
+use lumenmesh::recording::{Frame, Recording};
+use lumenmesh::settings::{Branches, Merge, Method, Settings, UnfitFrames};
 use lumenmesh::simulate::{
     Insertion, Move, Noise, Phantom, Probe, Shape, Simulation, SimulationSettings, Visit,
 };
@@ -140,8 +140,10 @@ fn cylinders_of_visited_branches_become_one_surface() {
                 "{shape} {merge:?}: mean {mean_mm:.3} mm, coverage {covered:.4}; without branches {mean_off_mm:.3} mm, \
                  {covered_off:.4}"
             );
-            assert!(mean_mm < 0.35, "{shape} {merge:?}: {mean_mm}");
-            assert!(covered > 0.9, "{shape} {merge:?}: {covered}");
+            // Where branches touch again, wall of both is lost.
+            let (most_mm, least) = if touches_again > 0 { (0.45, 0.85) } else { (0.35, 0.9) };
+            assert!(mean_mm < most_mm, "{shape} {merge:?}: {mean_mm}");
+            assert!(covered > least, "{shape} {merge:?}: {covered}");
             // One vessel of all cylinders loses branches that the catheter has left.
             assert!(covered_off < covered - 0.1, "{shape} {merge:?}: {covered_off} against {covered}");
 
@@ -248,6 +250,22 @@ fn a_vessel_without_branches_is_swept_as_without_looking_for_them() {
         assert!(found.cylinder_branches().is_none() && found.cylinders().is_some());
         let off = of_cylinders(&simulation.recording, Branches::Off, merge);
         assert!(bits(&found.surface()) == bits(&off.surface()));
+    }
+}
+
+#[test]
+fn a_recording_without_a_wall_has_no_branches() {
+    let nothing = Frame::new(Pose::IDENTITY, vec![DVec2::NAN; 12]);
+    // A line encloses no area, so that its centre says nothing of the lumen.
+    let line = Frame::new(Pose::IDENTITY, (0..12).map(|k| DVec2::X * f64::from(k)).collect());
+    for frames in [Vec::new(), vec![nothing; 30], vec![line; 30]] {
+        let tree = BranchTree::of(&frames, &Pose::IDENTITY);
+        assert!(tree.is_single() && tree.frame_branch == vec![None; frames.len()]);
+        for method in [Method::Sweep, Method::Cylinders] {
+            let settings = Settings::default().with_method(method).with_unfit_frames(UnfitFrames::Keep);
+            let recording = Recording { frames: frames.clone() };
+            assert!(Reconstructor::new(settings).run(&recording).is_err(), "{method:?}");
+        }
     }
 }
 
