@@ -52,10 +52,11 @@ impl<'a> ResidualModel<'a> {
 
     /// Evaluates an echo's residual on the triangle at its projection, and with `project` moves the projection.
     ///
-    /// With n the wall's normal, from its slopes over the [reach of the noise](WallGrid::slope_reach), Σ the covariance of the echo's errors and d the vector from the projection to the echo,
-    /// the likeliest point of the wall lies along `Σn` ([`likeliest_direction`]), and the standardised residual is
-    /// `nᵀd / √(nᵀΣn)`. Along the radius instead, an echo that noise moved outwards along a tilted plane would be compared
-    /// with the wall farther along the axis: where a catheter rests tilted, that lifts the wall by as much as the noise.
+    /// With n the wall's normal, from its slopes over the [reach of the noise](WallGrid::slope_reach), Σ the covariance of the
+    /// echo's errors and d the vector from the projection to the echo, the likeliest point of the wall lies along `Σn`
+    /// ([`likeliest_direction`]), and the standardised residual is `nᵀd / √(nᵀΣn)`. Along the radius instead, an echo that
+    /// noise moved outwards along a tilted plane would be compared with the wall farther along the axis: where a catheter
+    /// rests tilted, that lifts the wall by as much as the noise.
     pub(in crate::sweep) fn measure(&self, echo: &mut Echo, project: bool) -> Measured {
         let Self { grid, radii_mm: radii, noise_mm: noise, out_of_plane, reach } = *self;
         let (ring, node) = echo.projection();
