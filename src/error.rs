@@ -199,6 +199,15 @@ impl Error {
         Error::Setting { name: name.into(), found: found.to_string(), expected: expected.to_string() }
     }
 
+    /// Settings that cannot be read out of the text of a TOML file: where, and why.
+    pub(crate) fn settings(path: &Path, text: &str, error: &toml::de::Error) -> Self {
+        let found = match error.span().and_then(|span| text.get(..span.start)) {
+            Some(before) => format!("line {}: {}", before.matches('\n').count() + 1, error.message()),
+            None => error.to_string().trim_end().replace('\n', " "),
+        };
+        Self::input(path, "settings", found, "settings as TOML")
+    }
+
     /// An [`Error::Input`] about a whole file or variable. What comes from the file is made fit for a terminal: control
     /// characters are escaped, and what is long is cut.
     pub fn input(

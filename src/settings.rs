@@ -289,8 +289,7 @@ impl Settings {
     pub fn read_toml(path: &Path) -> Result<Self> {
         let text =
             std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
-        let settings = Self::parse(&text)
-            .map_err(|e| Error::input(path, "settings", e.to_string().trim_end(), "settings as TOML"))?;
+        let settings = Self::parse(&text).map_err(|e| Error::settings(path, &text, &e))?;
         settings.validate().map_err(|e| match e {
             Error::Setting { name, found, expected } => Error::input(path, name, found, expected),
             other => other,

@@ -305,8 +305,7 @@ impl SettingsArguments {
         };
         let text =
             std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.clone(), source })?;
-        toml::from_str(&text)
-            .map_err(|e| Error::input(path, "settings", e.to_string().trim_end(), "settings as TOML"))
+        toml::from_str(&text).map_err(|e| Error::settings(path, &text, &e))
     }
 
     /// Overrides the settings by the flags; returns the measured noise of a tracker, if one was asked for.

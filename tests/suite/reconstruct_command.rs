@@ -64,7 +64,10 @@ fn settings_outside_their_limits_are_refused() {
             &["--every", "61"],
             "lumenmesh: setting every: found 61, expected at most the recording's 60 frames",
         ),
-        (&["--config", "bad.toml"], "unknown field `level`"),
+        (
+            &["--config", "bad.toml"],
+            "lumenmesh: bad.toml: settings: found line 2: unknown field `level`, expected",
+        ),
         (&["--config", "absent.toml"], "lumenmesh: absent.toml: cannot read"),
     ] {
         refused(folder.path(), &[&["rec.mat", "-o", "mesh.vtp"], flags].concat(), 1, expected);
