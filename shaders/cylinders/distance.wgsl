@@ -4,7 +4,7 @@
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> offsets: array<u32>;
-@group(0) @binding(3) var<storage, read> grouped: array<vec4f>;
+@group(0) @binding(3) var<storage, read> grouped: array<vec4u>;
 @group(0) @binding(4) var<storage, read> radii: array<f32>;
 // One key per point.
 @group(0) @binding(5) var<storage, read_write> keys: array<u32>;
@@ -21,17 +21,8 @@ fn main(
     if (i >= offsets[all_faces]) {
         return;
     }
-    // The last face that begins at or before the point.
-    var face_of_all = 0u;
-    var beyond = all_faces;
-    while (beyond - face_of_all > 1u) {
-        let middle = (face_of_all + beyond) / 2u;
-        if (offsets[middle] <= i) {
-            face_of_all = middle;
-        } else {
-            beyond = middle;
-        }
-    }
+    let p = grouped[i];
+    let face_of_all = p.w;
     let cylinder = face_of_all / parameters.faces;
     let face = face_of_all - cylinder * parameters.faces;
     let level = face / parameters.nodes;
@@ -41,7 +32,6 @@ fn main(
     let above = row + parameters.nodes;
     let a = radii[row + j];
     let own = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
-    let p = grouped[i];
-    let nearer = distance_to_face(vec3f(p.x - a, p.yz), own);
+    let nearer = distance_to_face(from_corner(p, a), own);
     keys[i] = packed_key(nearer.distance, nearer.top, cylinders[cylinder].scale);
 }

@@ -7,7 +7,7 @@ override KEYED: u32 = 0u;
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> offsets: array<u32>;
-@group(0) @binding(3) var<storage, read> grouped: array<vec4f>;
+@group(0) @binding(3) var<storage, read> grouped: array<vec4u>;
 @group(0) @binding(4) var<storage, read> radii: array<f32>;
 // Per cylinder those of its bottom triangles, then those of its top ones.
 @group(0) @binding(5) var<storage, read_write> triangle_values: array<u32>;
@@ -45,13 +45,39 @@ fn sum_of(which: u32) -> Wide {
     return Wide(atomicLoad(&sum_low[which]), atomicLoad(&sum_high[which]));
 }
 
-// Keys of a face from place i on, THREADS apart: read together, since a device waits longer for memory than it
-// counts. EMPTY beyond the face's end.
+// Four places of an invocation from i on.
+fn four_places(i: u32) -> vec4u {
+    return vec4u(i, i + THREADS, i + 2u * THREADS, i + 3u * THREADS);
+}
+
+// Their keys. EMPTY beyond the face's end.
 fn four_keys(i: u32, end: u32) -> vec4u {
-    let places = vec4u(i, i + THREADS, i + 2u * THREADS, i + 3u * THREADS);
-    let within = min(places, vec4u(end - 1u));
-    let four = vec4u(keys[within.x], keys[within.y], keys[within.z], keys[within.w]);
-    return select(four, vec4u(EMPTY), places >= vec4u(end));
+    let at = min(four_places(i), vec4u(end - 1u));
+    let four = vec4u(keys[at.x], keys[at.y], keys[at.z], keys[at.w]);
+    return select(four, vec4u(EMPTY), four_places(i) >= vec4u(end));
+}
+
+// Sixteen keys, read together, since a device waits longer for memory than it counts.
+struct Keys {
+    a: vec4u,
+    b: vec4u,
+    c: vec4u,
+    d: vec4u,
+}
+
+// From the first key that an invocation reads together to the first of its next ones.
+const STRIDE: u32 = 16u * THREADS;
+
+fn keys_from(i: u32, end: u32) -> Keys {
+    if (i + 4u * THREADS >= end) {
+        return Keys(four_keys(i, end), vec4u(EMPTY), vec4u(EMPTY), vec4u(EMPTY));
+    }
+    return Keys(
+        four_keys(i, end),
+        four_keys(i + 4u * THREADS, end),
+        four_keys(i + 8u * THREADS, end),
+        four_keys(i + 12u * THREADS, end),
+    );
 }
 
 // Counts a key by its first 11 bits.
@@ -59,6 +85,13 @@ fn count_first(key: u32) {
     if (key != EMPTY) {
         atomicAdd(&histogram[key >> 21u], 1u);
     }
+}
+
+fn count_first_of_four(four: vec4u) {
+    count_first(four.x);
+    count_first(four.y);
+    count_first(four.z);
+    count_first(four.w);
 }
 
 // Counts a key for each of the ranks whose higher bits it has.
@@ -82,6 +115,13 @@ fn count(key: u32, prefix: vec4u, shift: u32) {
     }
 }
 
+fn count_four(four: vec4u, prefix: vec4u, shift: u32) {
+    count(four.x, prefix, shift);
+    count(four.y, prefix, shift);
+    count(four.z, prefix, shift);
+    count(four.w, prefix, shift);
+}
+
 // Puts the keys at four ranks among the keys of a face into `chosen`; what a rank beyond them gives is not
 // used.
 fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
@@ -93,12 +133,12 @@ fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
         rest = ranks;
     }
     workgroupBarrier();
-    for (var i = begin + local; i < end; i += 4u * THREADS) {
-        let four = four_keys(i, end);
-        count_first(four.x);
-        count_first(four.y);
-        count_first(four.z);
-        count_first(four.w);
+    for (var i = begin + local; i < end; i += STRIDE) {
+        let k = keys_from(i, end);
+        count_first_of_four(k.a);
+        count_first_of_four(k.b);
+        count_first_of_four(k.c);
+        count_first_of_four(k.d);
     }
     workgroupBarrier();
     var own = 0u;
@@ -126,12 +166,12 @@ fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
         let prefix = chosen;
         let wanted = rest;
         workgroupBarrier();
-        for (var i = begin + local; i < end; i += 4u * THREADS) {
-            let four = four_keys(i, end);
-            count(four.x, prefix, shift);
-            count(four.y, prefix, shift);
-            count(four.z, prefix, shift);
-            count(four.w, prefix, shift);
+        for (var i = begin + local; i < end; i += STRIDE) {
+            let k = keys_from(i, end);
+            count_four(k.a, prefix, shift);
+            count_four(k.b, prefix, shift);
+            count_four(k.c, prefix, shift);
+            count_four(k.d, prefix, shift);
         }
         workgroupBarrier();
         var counts = vec4u(0u);
@@ -192,6 +232,13 @@ fn with_key(shares: Shares, key: u32, bottom: Bounds, top: Bounds, rule: Cylinde
     return Shares(shares.seen + 1u, shares.bottom, plus(shares.top, d, top, rule.scale));
 }
 
+fn with_four(shares: Shares, four: vec4u, bottom: Bounds, top: Bounds, rule: Cylinder) -> Shares {
+    var sum = with_key(shares, four.x, bottom, top, rule);
+    sum = with_key(sum, four.y, bottom, top, rule);
+    sum = with_key(sum, four.z, bottom, top, rule);
+    return with_key(sum, four.w, bottom, top, rule);
+}
+
 fn add_share(half: u32, share: Share) {
     atomicAdd(&kept[half], share.kept);
     atomicAdd(&below[half], share.below);
@@ -214,17 +261,36 @@ fn sum_within(begin: u32, end: u32, bottom: Bounds, top: Bounds, rule: Cylinder,
     }
     workgroupBarrier();
     var shares = Shares(0u, NO_SHARE, NO_SHARE);
-    for (var i = begin + local; i < end; i += 4u * THREADS) {
-        let four = four_keys(i, end);
-        shares = with_key(shares, four.x, bottom, top, rule);
-        shares = with_key(shares, four.y, bottom, top, rule);
-        shares = with_key(shares, four.z, bottom, top, rule);
-        shares = with_key(shares, four.w, bottom, top, rule);
+    for (var i = begin + local; i < end; i += STRIDE) {
+        let k = keys_from(i, end);
+        shares = with_four(shares, k.a, bottom, top, rule);
+        shares = with_four(shares, k.b, bottom, top, rule);
+        shares = with_four(shares, k.c, bottom, top, rule);
+        shares = with_four(shares, k.d, bottom, top, rule);
     }
     atomicAdd(&seen, shares.seen);
     add_share(0u, shares.bottom);
     add_share(1u, shares.top);
     workgroupBarrier();
+}
+
+// Writes the key of a point at place i, and counts it with those of bottom and top distances.
+fn number_of_key(i: u32, end: u32, point: vec4u, a: f32, shape: Face, scale: f32) -> vec2u {
+    if (i >= end) {
+        return vec2u(0u);
+    }
+    let nearer = distance_to_face(from_corner(point, a), shape);
+    let key = packed_key(nearer.distance, nearer.top, scale);
+    keys[i] = key;
+    return vec2u(1u - (key >> 31u), key >> 31u);
+}
+
+// The numbers of keys of bottom and top distances among four.
+fn numbers_of(four: vec4u) -> vec2u {
+    let valid = select(vec4u(1u), vec4u(0u), four == vec4u(EMPTY));
+    let tops = (four >> vec4u(31u)) * valid;
+    let top = tops.x + tops.y + tops.z + tops.w;
+    return vec2u(valid.x + valid.y + valid.z + valid.w - top, top);
 }
 
 fn bounds_of(half: u32, n: u32, quartiles: vec2u, unit: f32) -> Bounds {
@@ -267,20 +333,21 @@ fn main(
         workgroupBarrier();
         var own_number = vec2u(0u);
         if (KEYED == 0u) {
-            for (var i = begin + local; i < end; i += THREADS) {
-                let p = grouped[i];
-                let nearer = distance_to_face(vec3f(p.x - a, p.yz), shape);
-                let key = packed_key(nearer.distance, nearer.top, rule.scale);
-                keys[i] = key;
-                own_number += vec2u(1u - (key >> 31u), key >> 31u);
+            for (var i = begin + local; i < end; i += 4u * THREADS) {
+                let at = min(four_places(i), vec4u(end - 1u));
+                let p = grouped[at.x];
+                let q = grouped[at.y];
+                let r = grouped[at.z];
+                let s = grouped[at.w];
+                own_number += number_of_key(i, end, p, a, shape, rule.scale);
+                own_number += number_of_key(i + THREADS, end, q, a, shape, rule.scale);
+                own_number += number_of_key(i + 2u * THREADS, end, r, a, shape, rule.scale);
+                own_number += number_of_key(i + 3u * THREADS, end, s, a, shape, rule.scale);
             }
         } else {
-            for (var i = begin + local; i < end; i += 4u * THREADS) {
-                let four = four_keys(i, end);
-                let valid = select(vec4u(1u), vec4u(0u), four == vec4u(EMPTY));
-                let tops = (four >> vec4u(31u)) * valid;
-                let top = tops.x + tops.y + tops.z + tops.w;
-                own_number += vec2u(valid.x + valid.y + valid.z + valid.w - top, top);
+            for (var i = begin + local; i < end; i += STRIDE) {
+                let k = keys_from(i, end);
+                own_number += numbers_of(k.a) + numbers_of(k.b) + numbers_of(k.c) + numbers_of(k.d);
             }
         }
         atomicAdd(&number[0], own_number.x);

@@ -22,5 +22,5 @@ fn main(
     @builtin(subgroup_invocation_id) lane: u32,
 ) {
     subgroup_width = width;
-    measure_blocks(workgroup_index(group, groups), groups.x * groups.y, group.z, id * width + lane);
+    measure_blocks(workgroup_index(group, groups), group.z, id * width + lane);
 }

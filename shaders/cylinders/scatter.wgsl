@@ -8,8 +8,8 @@
 // The faces of all slots, then their places.
 @group(0) @binding(2) var<storage, read> places: array<u32>;
 @group(0) @binding(3) var<storage, read> offsets: array<u32>;
-// r, θ - θⱼ, z - zₗ and 0 of each point: together, since they are written at once.
-@group(0) @binding(4) var<storage, read_write> grouped: array<vec4f>;
+// The bits of r, θ - θⱼ and z - zₗ of each point, and its face: together, since they are written at once.
+@group(0) @binding(4) var<storage, read_write> grouped: array<vec4u>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -30,10 +30,10 @@ fn main(
     let level = face / parameters.nodes;
     let theta = section[parameters.slots + slot];
     let height = section[2u * parameters.slots + slot] + parameters.half_height;
-    grouped[offsets[face_of_all] + places[parameters.slots + slot]] = vec4f(
-        section[slot],
-        theta - f32(face - level * parameters.nodes) * parameters.step_theta,
-        height - f32(level) * parameters.step_z,
-        0.0,
+    grouped[offsets[face_of_all] + places[parameters.slots + slot]] = vec4u(
+        bitcast<u32>(section[slot]),
+        bitcast<u32>(theta - f32(face - level * parameters.nodes) * parameters.step_theta),
+        bitcast<u32>(height - f32(level) * parameters.step_z),
+        face_of_all,
     );
 }

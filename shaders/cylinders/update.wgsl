@@ -1,6 +1,6 @@
-// Moves the nodes by the filled values of the triangles that meet there, and sums |travel|. A strip of up to
-// 254 neighbouring nodes of a ring fills the triangles about them in workgroup memory; short rings share a
-// workgroup.
+// Moves the nodes by the filled values of the triangles that meet there, and sums |travel|. An invocation reads all
+// that the values about its node can depend on, 18 triangles, at once: waiting for memory takes longer than what it
+// computes twice.
 
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
@@ -12,26 +12,90 @@
 
 const THREADS: u32 = 256u;
 
-// Values of the bottom and top triangles below a node and above it.
-var<workgroup> bottom_below: array<f32, 256>;
-var<workgroup> bottom_above: array<f32, 256>;
-var<workgroup> top_below: array<f32, 256>;
-var<workgroup> top_above: array<f32, 256>;
 // The workgroup's sum in parts of 16 bits; the last one has the rest.
 var<workgroup> parts: array<atomic<u32>, 3>;
 
-// The value of the bottom triangle of a face.
-fn bottom_of(bottom: u32, top: u32, level: u32, j: u32, next: u32) -> f32 {
-    let row = level * parameters.nodes;
-    let has_below = level > 0u;
-    let below = select(row, row - parameters.nodes, has_below) + j;
-    return bottom_value(
-        triangle_values[bottom + row + j],
-        value_of(triangle_values[top + row + j]),
-        value_of(triangle_values[top + row + next]),
-        value_of(triangle_values[top + below]),
+// The mean of the values about a node.
+fn travel_of(bottom: u32, ring: u32, j: u32) -> f32 {
+    let nodes = parameters.nodes;
+    let levels = parameters.levels;
+    let top = bottom + parameters.faces;
+    let next = select(j + 1u, 0u, j + 1u == nodes);
+    let before = select(j, nodes, j == 0u) - 1u;
+    let last_but_one = select(before, nodes, before == 0u) - 1u;
+    let has_below = ring > 0u;
+    let has_above = ring < levels;
+    let has_lower = ring > 1u;
+    let has_upper = ring + 1u < levels;
+    // Levels of faces: below and above the node, and beyond them. One that does not exist is read elsewhere and not
+    // used.
+    let below = (max(ring, 1u) - 1u) * nodes;
+    let above = min(ring, levels - 1u) * nodes;
+    let lower = (max(ring, 2u) - 2u) * nodes;
+    let upper = min(ring + 1u, levels - 1u) * nodes;
+    let top_below = triangle_values[top + below + j];
+    let top_below_before = triangle_values[top + below + before];
+    let top_above = triangle_values[top + above + j];
+    let value_below = value_of(top_below);
+    let value_below_before = value_of(top_below_before);
+    let value_above = value_of(top_above);
+    let value_above_before = value_of(triangle_values[top + above + before]);
+
+    let bottom_below_last = bottom_value(
+        triangle_values[bottom + below + last_but_one],
+        value_of(triangle_values[top + below + last_but_one]),
+        value_below_before,
+        value_of(triangle_values[top + lower + last_but_one]),
+        has_lower,
+    );
+    let bottom_below_before = bottom_value(
+        triangle_values[bottom + below + before],
+        value_below_before,
+        value_below,
+        value_of(triangle_values[top + lower + before]),
+        has_lower,
+    );
+    let bottom_below = bottom_value(
+        triangle_values[bottom + below + j],
+        value_below,
+        value_of(triangle_values[top + below + next]),
+        value_of(triangle_values[top + lower + j]),
+        has_lower,
+    );
+    let bottom_above_before = bottom_value(
+        triangle_values[bottom + above + before],
+        value_above_before,
+        value_above,
+        value_below_before,
         has_below,
     );
+    let bottom_above = bottom_value(
+        triangle_values[bottom + above + j],
+        value_above,
+        value_of(triangle_values[top + above + next]),
+        value_below,
+        has_below,
+    );
+    let bottom_upper = bottom_value(
+        triangle_values[bottom + upper + j],
+        value_of(triangle_values[top + upper + j]),
+        value_of(triangle_values[top + upper + next]),
+        value_above,
+        true,
+    );
+
+    var travel = 0.0;
+    if (has_below) {
+        let first =
+            top_value(top_below_before, bottom_below_before, bottom_below_last, bottom_above_before, has_above);
+        let second = top_value(top_below, bottom_below, bottom_below_before, bottom_above, has_above);
+        travel = first + bottom_below_before + second;
+    }
+    if (has_above) {
+        let own = top_value(top_above, bottom_above, bottom_above_before, bottom_upper, has_upper);
+        travel = select(bottom_above_before, travel + bottom_above_before, has_below) + own + bottom_above;
+    }
+    return travel / select(3.0, 6.0, has_below && has_above);
 }
 
 @compute @workgroup_size(256)
@@ -40,86 +104,23 @@ fn main(
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let nodes = parameters.nodes;
-    let levels = parameters.levels;
-    let cylinder = group.z;
-    let scale = cylinders[cylinder].scale;
-    let bottom = 2u * cylinder * parameters.faces;
-    let top = bottom + parameters.faces;
-    // Two columns before the first node of a strip are filled too.
-    let width = min(nodes + 2u, THREADS);
-    let strips_of_ring = (nodes + width - 3u) / (width - 2u);
-    let strips = strips_of_ring * (levels + 1u);
-    let strips_here = THREADS / width;
-    let own_strip = local / width;
-    let column = local - own_strip * width;
     if (local < 3u) {
         atomicStore(&parts[local], 0u);
     }
+    workgroupBarrier();
+    let cylinder = group.z;
+    let scale = cylinders[cylinder].scale;
+    let bottom = 2u * cylinder * parameters.faces;
+    let first_node = cylinder * parameters.node_count;
     var sum = Wide(0u, 0u);
-    // The workgroups take the strips in turn, so that few of them meet in the two words of `travels`.
-    let stride = groups.x * groups.y * strips_here;
-    for (var first = workgroup_index(group, groups) * strips_here; first < strips; first += stride) {
-        let strip = first + own_strip;
-        let ring = strip / strips_of_ring;
-        let place = (strip - ring * strips_of_ring) * (width - 2u) + column;
-        let takes_part = own_strip < strips_here && strip < strips && place < nodes + 2u;
-        // Less than twice the nodes where the invocation takes part.
-        let turned = place + nodes - 2u;
-        let j = select(turned, turned - nodes, turned >= nodes);
-        let next = select(j + 1u, 0u, j + 1u == nodes);
-        let has_below = takes_part && ring > 0u;
-        let has_above = takes_part && ring < levels;
-        let has_next = takes_part && ring + 1u < levels;
-        var below = 0.0;
-        var above = 0.0;
-        var next_above = 0.0;
-        // Read before the barriers, since reading takes longest.
-        let is_node = takes_part && column >= 2u;
-        let node = cylinder * parameters.node_count + ring * nodes + j;
-        var radius = 0.0;
-        if (is_node) {
-            radius = radii[node];
-        }
-        var own_below = NO_VALUE;
-        var own_above = NO_VALUE;
-        if (has_below) {
-            own_below = triangle_values[top + (ring - 1u) * nodes + j];
-            below = bottom_of(bottom, top, ring - 1u, j, next);
-        }
-        if (has_above) {
-            own_above = triangle_values[top + ring * nodes + j];
-            above = bottom_of(bottom, top, ring, j, next);
-        }
-        // Only an empty triangle asks for its neighbour.
-        if (has_next && own_above == NO_VALUE) {
-            next_above = bottom_of(bottom, top, ring + 1u, j, next);
-        }
-        bottom_below[local] = below;
-        bottom_above[local] = above;
-        workgroupBarrier();
-        let left = max(local, 1u) - 1u;
-        if (has_below) {
-            top_below[local] = top_value(own_below, below, bottom_below[left], above, has_above);
-        }
-        if (has_above) {
-            top_above[local] = top_value(own_above, above, bottom_above[left], next_above, has_next);
-        }
-        workgroupBarrier();
-        if (is_node) {
-            var travel = 0.0;
-            if (has_below) {
-                travel = top_below[left] + bottom_below[left] + top_below[local];
-            }
-            if (has_above) {
-                let beside = bottom_above[left];
-                travel = select(beside, travel + beside, has_below) + top_above[local] + above;
-            }
-            travel = travel / select(3.0, 6.0, has_below && has_above);
-            radii[node] = radius + travel;
-            sum = add_wide(sum, widen(fixed(abs(travel), scale)));
-        }
-        workgroupBarrier();
+    // The workgroups take the nodes in turn, so that few of them meet in the two words of `travels`.
+    let stride = groups.x * groups.y * THREADS;
+    for (var node = workgroup_index(group, groups) * THREADS + local; node < parameters.node_count; node += stride) {
+        let ring = node / parameters.nodes;
+        let radius = radii[first_node + node];
+        let travel = travel_of(bottom, ring, node - ring * parameters.nodes);
+        radii[first_node + node] = radius + travel;
+        sum = add_wide(sum, widen(fixed(abs(travel), scale)));
     }
     atomicAdd(&parts[0], sum.low & 0xffffu);
     atomicAdd(&parts[1], sum.low >> 16u);

@@ -63,11 +63,11 @@ impl<Stage, Items> Runner<Stage, Items> {
         self.adapter().map(|a| format!("{} ({}, {})", a.name, a.backend, a.driver))
     }
 
-    /// Builds pipelines now rather than when they are first needed: all, or of passes with variants those
-    /// that are `used`, by the pass's shader and the variant's value.
-    pub(crate) fn warm_up(&self, used: impl Fn(&Shader, u32) -> bool) -> Result<(), GpuError> {
+    /// Builds pipelines now rather than when they are first needed: those that are `used`, by the pass's shader and
+    /// the variant's values.
+    pub(crate) fn warm_up(&self, used: impl Fn(&Shader, &[u32]) -> bool) -> Result<(), GpuError> {
         self.passes.iter().try_for_each(|ready| {
-            let used = |value| used(ready.pipeline.shader, value);
+            let used = |values: &[u32]| used(ready.pipeline.shader, values);
             ready.pipeline.warm_up(&self.context.device, used)
         })
     }

@@ -8,11 +8,12 @@ use crate::sections::{RADIUS_MM, seeded, wall};
 use lumenmesh::cylinders::{CpuEngine, Engine, Tube};
 use lumenmesh::low_level::cylinders::gpu::LANES;
 use lumenmesh::low_level::cylinders::passes::{
-    Face, Filter, FitParameters, LIST_HEAD, TriangleStatistic, TubeGrid, distance, listed_faces,
-    measure_long, measure_short,
+    Face, Filter, FitParameters, LIST_HEAD, TriangleStatistic, TubeGrid, distance, grouped_point,
+    listed_faces, measure_long, measure_short,
 };
 use lumenmesh::settings::{Outliers, Settings, Statistic};
 use rand::RngExt;
+use std::iter::repeat_n;
 
 /// How the points of a face differ from each other.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -107,11 +108,7 @@ impl Faces {
         let count = self.points.len() as u32;
         let workspace = device.engine.prepare(count, RADIUS_MM, settings).unwrap();
         let FitParameters { max_short, max_middle, .. } = *workspace.parameters();
-        let is_own = |size: u32| match pass.starts_with("measure_middle") {
-            true => size > max_short && size <= max_middle,
-            false if long => size > max_middle,
-            false => size <= max_short,
-        };
+        let is_own = |size: u32| long == (size > max_middle);
         let rule = Filter::new(settings, RADIUS_MM);
         let faces = self.tube.face_count();
         let mut expected = vec![None; 2 * faces];
@@ -121,8 +118,10 @@ impl Faces {
             }
         }
         assert!(expected.iter().any(Option::is_some), "no face for {pass}");
-        let grouped: Vec<[f32; 4]> = self.points.iter().map(|[r, theta, z]| [*r, *theta, *z, 0.0]).collect();
         let counts: Vec<u32> = (0..faces).map(|face| self.size(face)).collect();
+        let face_of_each = (0..).zip(&counts).flat_map(|(face, &count)| repeat_n(face, count as usize));
+        let grouped: Vec<[u32; 4]> =
+            self.points.iter().zip(face_of_each).map(|(point, face)| grouped_point(*point, face)).collect();
         let most = faces.min(count as usize / (max_short as usize + 1));
         let listed = listed_faces(&counts, max_short, max_middle, (LIST_HEAD + most).max(4));
         let mut inputs = vec![
@@ -183,8 +182,7 @@ fn all_rules() -> impl Iterator<Item = (Outliers, Statistic)> {
 /// Mean numbers of points per face, for which the engine takes 1, 2, 4, 8, 16 and 32 lanes to a face.
 const MEANS: [u32; 6] = [2, 6, 15, 38, 86, 195];
 
-/// Sizes of 60 faces with that mean: about every boundary up to the capacity of a short face and one beyond
-/// it, which the pass must leave alone.
+/// Sizes of 60 faces with that mean: about every boundary up to the capacity of a short face and one beyond it.
 fn sizes(mean: u32, capacity: u32, width: u32) -> Vec<u32> {
     let boundaries = [0, 1, 2, 3, 4, 5, 7, 8, 9, 31, 32, 33, 127, 128, 129];
     let own = [width - 1, width, width + 1, capacity - 1, capacity, capacity + 1];
@@ -288,21 +286,19 @@ fn with_others(mut sizes: Vec<u32>, mean: u32) -> (Settings, Vec<u32>) {
     (Settings::default().with_nodes(20).with_levels(15), sizes)
 }
 
-/// The lanes of a face of middle size, where there is one.
-fn middle_lanes(lanes: u32) -> Option<u32> {
-    (lanes < 32).then_some((8 * lanes).min(32))
+/// The lanes of a face of middle size: those of a short one where there are none.
+fn middle_lanes(device: &Device, lanes: u32) -> u32 {
+    (8 * lanes).min(device.engine.subgroup_width().unwrap_or(32)).min(32)
 }
 
 #[test]
-fn measure_middle_is_its_twin_with_every_number_of_lanes() {
-    for (device, _, lanes_and_means) in ways() {
+fn faces_of_middle_size_are_the_twin_s_with_every_number_of_lanes() {
+    for (device, pass, lanes_and_means) in ways() {
         for (lanes, mean) in lanes_and_means {
-            let Some(middle) = middle_lanes(lanes) else { continue };
-            let width = device.engine.subgroup_width();
-            let pass = match width.is_some_and(|width| middle <= width) {
-                true => "measure_middle",
-                false => "measure_middle_shared",
-            };
+            let middle = middle_lanes(device, lanes);
+            if middle == lanes {
+                continue;
+            }
             let [least, most] = [8 * lanes + 1, 8 * middle];
             let sizes = vec![least, least - 1, least + 1, most - 1, most, most + 1];
             let (settings, sizes) = with_others(sizes, mean);
@@ -320,7 +316,7 @@ fn measure_middle_is_its_twin_with_every_number_of_lanes() {
 fn measure_long_begins_right_above_each_capacity() {
     for (device, _, lanes_and_means) in ways() {
         for (lanes, mean) in lanes_and_means {
-            let capacity = 8 * middle_lanes(lanes).unwrap_or(lanes);
+            let capacity = 8 * middle_lanes(device, lanes);
             let (settings, sizes) =
                 with_others(vec![capacity + 1, capacity, capacity + 2, 2 * capacity], mean);
             let faces = Faces::new(&settings, &sizes, Pattern::Random);
@@ -334,15 +330,11 @@ fn measure_long_begins_right_above_each_capacity() {
 /// More faces of middle size, of several cylinders, than workgroups have room for at a time.
 #[test]
 fn many_faces_of_middle_size_are_all_measured() {
-    for (device, _, _) in ways() {
+    for (device, pass, _) in ways() {
         let settings = Settings::default().with_nodes(100).with_levels(90);
         let sizes: Vec<u32> = (0..9000).map(|face| if face % 3 == 0 { 9 + face % 50 } else { 0 }).collect();
         let mean = sizes.iter().sum::<u32>() / 9000;
         assert!(mean > 8);
-        let pass = match device.engine.subgroup_width().is_some_and(|width| width >= 32) {
-            true => "measure_middle",
-            false => "measure_middle_shared",
-        };
         Faces::new(&settings, &sizes, Pattern::Random).agrees(device, &settings, pass);
     }
 }

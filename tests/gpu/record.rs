@@ -117,12 +117,11 @@ fn passes_are_timed_one_by_one_in_their_order() {
     });
     assert_eq!(found, device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube.radii_mm);
     // The points of a single tube need no projection, and few faces no sums over blocks of them.
-    let (short, middle) = match device.engine.subgroup_width() {
-        Some(32..) => ("measure_short", "measure_middle"),
-        Some(8..) => ("measure_short", "measure_middle_shared"),
-        _ => ("measure_short_shared", "measure_middle_shared"),
+    let short = match device.engine.subgroup_width() {
+        Some(8..) => "measure_short",
+        _ => "measure_short_shared",
     };
-    let iterated = [short, middle, "measure_long", "update"];
+    let iterated = [short, "measure_long", "update"];
     assert_eq!(
         *timed.borrow(),
         [&["bin_few", "scan_downsweep", "scatter"][..], &iterated, &iterated, &["support"]].concat()

@@ -107,9 +107,9 @@ fn update_is_its_twin() {
 #[test]
 fn update_takes_nodes_in_turn() {
     let Some(device) = device() else { return };
-    // A strip has 254 nodes, and there are at most 2048 workgroups; of rings of 12 a workgroup has 18.
+    // There are at most 2048 workgroups of 256.
     let sizes =
-        [(253, 2), (254, 2), (255, 2), (260_095, 1), (260_096, 1), (260_097, 1), (300_000, 1), (12, 40_000)];
+        [(127, 1), (128, 1), (129, 1), (262_143, 1), (262_144, 1), (262_145, 1), (400_000, 1), (12, 50_000)];
     for (nodes, levels) in sizes {
         let settings = Settings::default().with_nodes(nodes).with_levels(levels);
         let workspace = device.engine.prepare(10, RADIUS_MM, &settings).unwrap();

@@ -1,16 +1,15 @@
-// Distances and statistics of the faces with few points: LANES invocations per face, each with eight of its
-// points, whose keys it has in registers. Order statistics by sorting, a network whose steps do not depend on the
-// data. Invocations read each other's values through `exchange` and `value_at`: the two files that include this one
-// differ in how.
+// Distances and statistics of the faces with few points: LANES invocations per face, or MIDDLE_LANES for one of middle
+// size, each with eight of its points, whose keys it has in registers. Order statistics by sorting, a network whose
+// steps do not depend on the data. Invocations read each other's values through `exchange` and `value_at`: the two
+// files that include this one differ in how.
 
 override LANES: u32 = 8u;
-// 1: the faces of middle size, which are listed, instead of the short ones among all.
-override MIDDLE: u32 = 0u;
+override MIDDLE_LANES: u32 = 32u;
 
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> offsets: array<u32>;
-@group(0) @binding(3) var<storage, read> grouped: array<vec4f>;
+@group(0) @binding(3) var<storage, read> grouped: array<vec4u>;
 @group(0) @binding(4) var<storage, read> radii: array<f32>;
 // Per cylinder those of its bottom triangles, then those of its top ones.
 @group(0) @binding(5) var<storage, read_write> triangle_values: array<u32>;
@@ -18,6 +17,19 @@ override MIDDLE: u32 = 0u;
 @group(0) @binding(7) var<storage, read> listed_faces: array<u32>;
 
 const THREADS: u32 = 128u;
+
+// Most lanes a face with which the workgroup shares out the distances of all its faces point by point. With more, a
+// face's own invocations have little to wait for each other.
+const MOST_SHARING_LANES: u32 = 2u;
+// Most points that a workgroup shares out: eight an invocation.
+const MOST_SHARED: u32 = 8u * THREADS;
+
+// The keys of the points that it shares out.
+var<workgroup> shared_keys: array<u32, 1024>;
+// Of each of its faces: r of the corners a, b, b' and a', less that of a but for a; then the rest of `Face`.
+var<workgroup> corners: array<vec4f, 128>;
+var<workgroup> per_edges: array<vec4f, 128>;
+var<workgroup> per_others: array<vec4f, 128>;
 
 struct Keys {
     a: vec4u,
@@ -80,22 +92,22 @@ fn halve(k: Keys, distance: u32, local: u32) -> Keys {
     return Keys(select(max(k.a, a), min(k.a, a), lower), select(max(k.b, b), min(k.b, b), lower));
 }
 
-fn sorted(keys_of_lane: Keys, local: u32) -> Keys {
+fn sorted(keys_of_lane: Keys, lanes: u32, local: u32) -> Keys {
     var k = sort_own(keys_of_lane);
-    if (LANES >= 2u) {
+    if (lanes >= 2u) {
         k = merge_own(meet(k, 2u, local));
     }
-    if (LANES >= 4u) {
+    if (lanes >= 4u) {
         k = merge_own(halve(meet(k, 4u, local), 1u, local));
     }
-    if (LANES >= 8u) {
+    if (lanes >= 8u) {
         k = merge_own(halve(halve(meet(k, 8u, local), 2u, local), 1u, local));
     }
-    if (LANES >= 16u) {
+    if (lanes >= 16u) {
         k = halve(halve(meet(k, 16u, local), 4u, local), 2u, local);
         k = merge_own(halve(k, 1u, local));
     }
-    if (LANES >= 32u) {
+    if (lanes >= 32u) {
         k = halve(halve(meet(k, 32u, local), 8u, local), 4u, local);
         k = merge_own(halve(halve(k, 2u, local), 1u, local));
     }
@@ -103,38 +115,38 @@ fn sorted(keys_of_lane: Keys, local: u32) -> Keys {
 }
 
 // The sum over the invocations of a face.
-fn sum_of_face(own: vec4u, local: u32) -> vec4u {
+fn sum_of_face(own: vec4u, lanes: u32, local: u32) -> vec4u {
     var sum = own;
-    if (LANES >= 2u) {
+    if (lanes >= 2u) {
         sum += exchange(sum, 1u, local);
     }
-    if (LANES >= 4u) {
+    if (lanes >= 4u) {
         sum += exchange(sum, 2u, local);
     }
-    if (LANES >= 8u) {
+    if (lanes >= 8u) {
         sum += exchange(sum, 4u, local);
     }
-    if (LANES >= 16u) {
+    if (lanes >= 16u) {
         sum += exchange(sum, 8u, local);
     }
-    if (LANES >= 32u) {
+    if (lanes >= 32u) {
         sum += exchange(sum, 16u, local);
     }
     return sum;
 }
 
 // The same of two numbers.
-fn sum_of_pairs(own: vec2u, local: u32) -> vec2u {
-    return sum_of_face(vec4u(own, vec2u(0u)), local).xy;
+fn sum_of_pairs(own: vec2u, lanes: u32, local: u32) -> vec2u {
+    return sum_of_face(vec4u(own, vec2u(0u)), lanes, local).xy;
 }
 
 // The key of that rank among the sorted keys of a face.
-fn key_at(k: Keys, rank: u32, local: u32) -> u32 {
+fn key_at(k: Keys, rank: u32, lanes: u32, local: u32) -> u32 {
     let four = select(k.a, k.b, (rank & 4u) != 0u);
     let two = select(four.xy, four.zw, (rank & 2u) != 0u);
     let own = select(two.x, two.y, (rank & 1u) != 0u);
     // Of the invocation that holds the rank; what a rank beyond all keys gives is not used.
-    return value_at(own, local / LANES * LANES + min(rank / 8u, LANES - 1u), local);
+    return value_at(own, local / lanes * lanes + min(rank / 8u, lanes - 1u), local);
 }
 
 // What is known of a face's keys, of its bottom triangle and its top one.
@@ -185,7 +197,7 @@ fn add(sums: OwnSums, key: u32, bottom: Bounds, top: Bounds, rule: Cylinder) -> 
     return own;
 }
 
-fn sums_of(k: Keys, bottom: Bounds, top: Bounds, rule: Cylinder, local: u32) -> Sums {
+fn sums_of(k: Keys, bottom: Bounds, top: Bounds, rule: Cylinder, lanes: u32, local: u32) -> Sums {
     let none = vec2u(0u);
     var own = OwnSums(none, none, none, none, none);
     own = add(own, k.a.x, bottom, top, rule);
@@ -196,15 +208,15 @@ fn sums_of(k: Keys, bottom: Bounds, top: Bounds, rule: Cylinder, local: u32) -> 
     own = add(own, k.b.y, bottom, top, rule);
     own = add(own, k.b.z, bottom, top, rule);
     own = add(own, k.b.w, bottom, top, rule);
-    let sum = sum_of_face(vec4u(own.low, own.high), local);
-    let size = sum_of_pairs(own.size, local);
+    let sum = sum_of_face(vec4u(own.low, own.high), lanes, local);
+    let size = sum_of_pairs(own.size, lanes, local);
     var low_size = none;
     if (parameters.last == 1u) {
-        low_size = sum_of_pairs(own.low_size, local);
+        low_size = sum_of_pairs(own.low_size, lanes, local);
     }
     var below = none;
     if (parameters.statistic == STATISTIC_MEDIAN) {
-        below = sum_of_pairs(own.below, local);
+        below = sum_of_pairs(own.below, lanes, local);
     }
     return Sums(
         apart(size / vec2u(ONE_KEPT)),
@@ -255,57 +267,82 @@ fn write_triangle(triangle: u32, half: u32, sums: Sums, median_key: u32, unit: f
     }
 }
 
-// A face of the workgroup's, among those of all cylinders; NONE where there are no more.
-fn face_at(block: u32, cylinder: u32, slot: u32) -> u32 {
-    let index = block * (THREADS / LANES) + slot;
-    if (MIDDLE == 1u) {
-        if (index < listed_faces[MIDDLE_COUNT]) {
-            return listed_faces[arrayLength(&listed_faces) - 1u - index];
-        }
-    } else if (index < parameters.faces) {
-        return cylinder * parameters.faces + index;
-    }
-    return NONE;
+// The key of a point.
+fn key_of_point(p: vec4u, a: f32, face: Face, scale: f32) -> u32 {
+    let nearer = distance_to_face(from_corner(p, a), face);
+    return packed_key(nearer.distance, nearer.top, scale);
 }
 
-// The key of a point.
-fn key_of_point(p: vec4f, is_point: bool, a: f32, face: Face, scale: f32) -> u32 {
+fn key_of_own(p: vec4u, is_point: bool, a: f32, face: Face, scale: f32) -> u32 {
     if (!is_point) {
         return EMPTY;
     }
-    let nearer = distance_to_face(vec3f(p.x - a, p.yz), face);
-    return packed_key(nearer.distance, nearer.top, scale);
+    return key_of_point(p, a, face, scale);
 }
 
 // The keys of four points of an invocation, from the first-th of its face on. All are read before the first
 // distance is computed.
-fn four_keys(begin: u32, count: u32, first: u32, a: f32, face: Face, scale: f32) -> vec4u {
-    let last = max(count, 1u) - 1u;
-    let at = vec4u(first, first + LANES, first + 2u * LANES, first + 3u * LANES);
-    let places = vec4u(begin) + min(at, vec4u(last));
+fn four_keys(begin: u32, count: u32, first: u32, lanes: u32, a: f32, face: Face, scale: f32) -> vec4u {
+    let at = vec4u(first, first + lanes, first + 2u * lanes, first + 3u * lanes);
+    let places = vec4u(begin) + min(at, vec4u(max(count, 1u) - 1u));
     let p = grouped[places.x];
     let q = grouped[places.y];
     let r = grouped[places.z];
     let s = grouped[places.w];
     return vec4u(
-        key_of_point(p, at.x < count, a, face, scale),
-        key_of_point(q, at.y < count, a, face, scale),
-        key_of_point(r, at.z < count, a, face, scale),
-        key_of_point(s, at.w < count, a, face, scale),
+        key_of_own(p, at.x < count, a, face, scale),
+        key_of_own(q, at.y < count, a, face, scale),
+        key_of_own(r, at.z < count, a, face, scale),
+        key_of_own(s, at.w < count, a, face, scale),
     );
 }
 
-// The block-th 128 / LANES faces of a cylinder, or of the list.
-fn measure(block: u32, cylinder: u32, local: u32) {
-    let slot = local / LANES;
-    let lane = local % LANES;
-    let face_of_all = face_at(block, cylinder, slot);
-    let is_face = face_of_all != NONE;
-    var owner = cylinder;
-    if (MIDDLE == 1u) {
-        owner = select(0u, face_of_all / parameters.faces, is_face);
+// Puts the key of the i-th point that the workgroup shares out at its place.
+fn share_out(i: u32, count: u32, p: vec4u, first_face: u32, scale: f32) {
+    if (i >= count) {
+        return;
     }
-    let rule = cylinders[owner];
+    let face = p.w - first_face;
+    let r = corners[face];
+    let e = per_edges[face];
+    let o = per_others[face];
+    let shape = Face(r.y, r.z, r.w, e.x, e.y, e.z, e.w, o.x, o.y, o.z);
+    shared_keys[i] = key_of_point(p, r.x, shape, scale);
+}
+
+// Computes the keys of the points from `begin` on, which lie on the workgroup's faces from `first_face` on.
+fn share_out_four(begin: u32, count: u32, i: u32, first_face: u32, scale: f32) {
+    let at = vec4u(i, i + THREADS, i + 2u * THREADS, i + 3u * THREADS);
+    let places = vec4u(begin) + min(at, vec4u(count - 1u));
+    let p = grouped[places.x];
+    let q = grouped[places.y];
+    let r = grouped[places.z];
+    let s = grouped[places.w];
+    share_out(at.x, count, p, first_face, scale);
+    share_out(at.y, count, q, first_face, scale);
+    share_out(at.z, count, r, first_face, scale);
+    share_out(at.w, count, s, first_face, scale);
+}
+
+// Four keys of an invocation among those that were shared out.
+fn four_shared_keys(begin: u32, count: u32, first: u32, lanes: u32) -> vec4u {
+    let at = vec4u(first, first + lanes, first + 2u * lanes, first + 3u * lanes);
+    let places = vec4u(begin) + min(at, vec4u(max(count, 1u) - 1u));
+    let four = vec4u(
+        shared_keys[places.x],
+        shared_keys[places.y],
+        shared_keys[places.z],
+        shared_keys[places.w],
+    );
+    return select(vec4u(EMPTY), four, at < vec4u(count));
+}
+
+// Measures the face of the invocation, if it has one (NONE otherwise) and no more than 8 · lanes points.
+// `first_face` is the workgroup's first of `faces_here` consecutive faces, which is 0 where they are none.
+fn measure(face_of_all: u32, cylinder: u32, first_face: u32, faces_here: u32, lanes: u32, local: u32) {
+    let lane = local % lanes;
+    let is_face = face_of_all != NONE;
+    let rule = cylinders[cylinder];
     var begin = 0u;
     var points = 0u;
     var a = 0.0;
@@ -313,59 +350,81 @@ fn measure(block: u32, cylinder: u32, local: u32) {
     if (is_face) {
         begin = offsets[face_of_all];
         points = offsets[face_of_all + 1u] - begin;
-        let face = face_of_all - owner * parameters.faces;
+        let face = face_of_all - cylinder * parameters.faces;
         let level = face / parameters.nodes;
         let j = face - level * parameters.nodes;
         let k = select(j + 1u, 0u, j + 1u == parameters.nodes);
-        let row = owner * parameters.node_count + level * parameters.nodes;
+        let row = cylinder * parameters.node_count + level * parameters.nodes;
         let above = row + parameters.nodes;
         a = radii[row + j];
         shape = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
     }
-    let is_own = is_face && points <= 8u * LANES;
+    let is_own = is_face && points <= 8u * lanes;
     let count = select(0u, points, is_own);
-    var k = Keys(
-        four_keys(begin, count, lane, a, shape, rule.scale),
-        four_keys(begin, count, lane + 4u * LANES, a, shape, rule.scale),
-    );
+    var begin_shared = 0u;
+    var shared_count = 0u;
+    if (faces_here > 0u) {
+        begin_shared = offsets[first_face];
+        shared_count = offsets[first_face + faces_here] - begin_shared;
+    }
+    var k = Keys(vec4u(EMPTY), vec4u(EMPTY));
+    if (shared_count > 0u && shared_count <= MOST_SHARED) {
+        if (lane == 0u) {
+            let slot = local / lanes;
+            corners[slot] = vec4f(a, shape.b, shape.b_above, shape.a_above);
+            per_edges[slot] = vec4f(shape.per_ab, shape.per_aa, shape.per_diagonal, shape.per_bb);
+            per_others[slot] = vec4f(shape.per_across, shape.per_bottom, shape.per_top, 0.0);
+        }
+        workgroupBarrier();
+        share_out_four(begin_shared, shared_count, local, first_face, rule.scale);
+        if (shared_count > 4u * THREADS) {
+            share_out_four(begin_shared, shared_count, local + 4u * THREADS, first_face, rule.scale);
+        }
+        workgroupBarrier();
+        k.a = four_shared_keys(begin - begin_shared, count, lane, lanes);
+        k.b = four_shared_keys(begin - begin_shared, count, lane + 4u * lanes, lanes);
+    } else {
+        k.a = four_keys(begin, count, lane, lanes, a, shape, rule.scale);
+        k.b = four_keys(begin, count, lane + 4u * lanes, lanes, a, shape, rule.scale);
+    }
     // Top and empty keys have the highest bit.
     let others = (k.a >> vec4u(31u)) + (k.b >> vec4u(31u));
     let own_others = others.x + others.y + others.z + others.w;
-    let bottoms = 8u * LANES - sum_of_face(vec4u(own_others, 0u, 0u, 0u), local).x;
+    let bottoms = 8u * lanes - sum_of_face(vec4u(own_others, 0u, 0u, 0u), lanes, local).x;
     let number = vec2u(bottoms, count - bottoms);
 
     var quartiles = vec4f(0.0);
     if (parameters.outliers == OUTLIERS_IQR || parameters.statistic == STATISTIC_MEDIAN) {
-        k = sorted(k, local);
+        k = sorted(k, lanes, local);
     }
     if (parameters.outliers == OUTLIERS_IQR) {
         let first = vec2u(first_quartile(number.x), bottoms + first_quartile(number.y));
         let third = vec2u(third_quartile(number.x), bottoms + third_quartile(number.y));
         quartiles = vec4f(
-            unpacked(key_at(k, first.x, local), rule.unit),
-            unpacked(key_at(k, third.x, local), rule.unit),
-            unpacked(key_at(k, first.y, local), rule.unit),
-            unpacked(key_at(k, third.y, local), rule.unit),
+            unpacked(key_at(k, first.x, lanes, local), rule.unit),
+            unpacked(key_at(k, third.x, lanes, local), rule.unit),
+            unpacked(key_at(k, first.y, lanes, local), rule.unit),
+            unpacked(key_at(k, third.y, lanes, local), rule.unit),
         );
     }
     var sums = Sums();
     if (parameters.outliers == OUTLIERS_DEVIATION) {
-        sums = sums_of(k, EVERYTHING, EVERYTHING, rule, local);
+        sums = sums_of(k, EVERYTHING, EVERYTHING, rule, lanes, local);
     }
     let bottom = bounds_of(0u, number.x, quartiles.xy, sums, rule.unit);
     let top = bounds_of(1u, number.y, quartiles.zw, sums, rule.unit);
-    sums = sums_of(k, bottom, top, rule, local);
+    sums = sums_of(k, bottom, top, rule, lanes, local);
     var medians = vec2u(0u);
     if (parameters.statistic == STATISTIC_MEDIAN) {
         medians = vec2u(
-            key_at(k, sums.below.x + median(sums.kept.x), local),
-            key_at(k, bottoms + sums.below.y + median(sums.kept.y), local),
+            key_at(k, sums.below.x + median(sums.kept.x), lanes, local),
+            key_at(k, bottoms + sums.below.y + median(sums.kept.y), lanes, local),
         );
     }
 
     // Twice the faces of the cylinders before, and the face within its own.
-    let to = face_of_all + owner * parameters.faces;
-    if (LANES == 1u) {
+    let to = face_of_all + cylinder * parameters.faces;
+    if (lanes == 1u) {
         if (is_own) {
             write_triangle(to, 0u, sums, medians.x, rule.unit);
             write_triangle(to + parameters.faces, 1u, sums, medians.y, rule.unit);
@@ -375,16 +434,43 @@ fn measure(block: u32, cylinder: u32, local: u32) {
     }
 }
 
-// What one workgroup does of the pass: blocks of faces, several of them only where they are listed.
-fn measure_blocks(first: u32, groups: u32, cylinder: u32, local: u32) {
-    if (MIDDLE == 0u) {
-        measure(first, cylinder, local);
+// The block-th 128 / MIDDLE_LANES faces of middle size.
+fn measure_middle(block: u32, local: u32) {
+    let index = block * (THREADS / MIDDLE_LANES) + local / MIDDLE_LANES;
+    var face_of_all = NONE;
+    var cylinder = 0u;
+    if (index < listed_faces[MIDDLE_COUNT]) {
+        face_of_all = listed_faces[arrayLength(&listed_faces) - 1u - index];
+        cylinder = face_of_all / parameters.faces;
+    }
+    measure(face_of_all, cylinder, 0u, 0u, MIDDLE_LANES, local);
+}
+
+// The block-th 128 / LANES faces of a cylinder.
+fn measure_short(block: u32, cylinder: u32, local: u32) {
+    let first = block * (THREADS / LANES);
+    let index = first + local / LANES;
+    let before = cylinder * parameters.faces;
+    let face_of_all = select(NONE, before + index, index < parameters.faces);
+    var faces_here = 0u;
+    if (LANES <= MOST_SHARING_LANES && first < parameters.faces) {
+        faces_here = min(THREADS / LANES, parameters.faces - first);
+    }
+    measure(face_of_all, cylinder, before + first, faces_here, LANES, local);
+}
+
+// What one workgroup does: the first of each cylinder's take the faces of middle size in turn, together with those of
+// the other cylinders, and each of the others a block of short ones.
+fn measure_blocks(index: u32, cylinder: u32, local: u32) {
+    if (index >= parameters.middle_groups) {
+        measure_short(index - parameters.middle_groups, cylinder, local);
         return;
     }
-    let faces_here = THREADS / LANES;
+    let faces_here = THREADS / MIDDLE_LANES;
     let blocks = (listed_faces[MIDDLE_COUNT] + faces_here - 1u) / faces_here;
-    for (var block = first; block < blocks; block += groups) {
-        measure(block, 0u, local);
+    let groups = parameters.cylinders * parameters.middle_groups;
+    for (var block = cylinder * parameters.middle_groups + index; block < blocks; block += groups) {
+        measure_middle(block, local);
         workgroupBarrier();
     }
 }

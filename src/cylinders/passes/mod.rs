@@ -28,6 +28,6 @@ pub use project::{DevicePair, Section, TubeTransform, project};
 pub use scan_downsweep::{LIST_HEAD, listed_faces, scan_downsweep};
 pub use scan_reduce::scan_reduce;
 pub use scan_spine::scan_spine;
-pub use scatter::scatter;
+pub use scatter::{grouped_point, scatter};
 pub use support::support;
 pub use update::update;

@@ -3,6 +3,13 @@
 use super::{NONE, Section, TubeGrid};
 use crate::numerics::Scalar;
 
+/// A point, measured from its face's corner, as the device groups it: the bits of its coordinates, and its face among
+/// those of all cylinders.
+pub fn grouped_point(point: [f32; 3], face_of_all: u32) -> [u32; 4] {
+    let [r, theta, z] = point.map(f32::to_bits);
+    [r, theta, z, face_of_all]
+}
+
 /// Moves each point to its place behind its face's offset, measured from the face's corner a: r, θ - θⱼ and z - zₗ,
 /// which stay small and so preserve f32 precision. Points without a face are left out.
 pub fn scatter<T: Scalar>(

@@ -1,7 +1,7 @@
 //! The pass table: the bindings, the workgroup size and the number of workgroups of every pass.
 
-use crate::gpu::constants;
 use crate::gpu::shader::shader;
+use crate::gpu::{Variants, constants};
 use crate::numerics::ANGLE_COEFFICIENTS;
 
 /// When a pass runs.
@@ -34,14 +34,11 @@ pub enum Items {
     Spine,
     /// One workgroup per 1024 faces of the batch.
     Blocks,
-    /// [`LANES`] invocations per face, cylinder by cylinder, with subgroups.
+    /// Cylinder by cylinder workgroups that take the faces of middle size in turn, then one or more invocations per
+    /// short face ([`LANES`]); with subgroups.
     ShortFaces,
     /// The same without subgroups.
     ShortFacesShared,
-    /// Workgroups that take the faces of middle size in turn, [`LANES`] invocations per face, with subgroups.
-    MiddleFaces,
-    /// The same without subgroups.
-    MiddleFacesShared,
     /// Workgroups that take the long faces in turn, where they have not so many points that `distance` comes
     /// first.
     LongFaces,
@@ -49,10 +46,10 @@ pub enum Items {
     Points,
     /// Workgroups that take the long faces in turn after `distance`.
     KeyedFaces,
-    /// Workgroups that take strips of rings in turn, cylinder by cylinder.
-    Strips,
     /// One invocation per node, cylinder by cylinder.
     Nodes,
+    /// Workgroups that take the nodes in turn, cylinder by cylinder.
+    NodesInTurn,
 }
 
 /// A row of the pass table.
@@ -88,7 +85,7 @@ macro_rules! pass {
 }
 
 /// Every pass, in the order in which they run.
-pub static PASSES: [Pass; 16] = [
+pub static PASSES: [Pass; 14] = [
     pass!("project", Project, Pairs, 64, [DISPATCH, ANGLE], [
         "cylinders": Read, "points": Read, "pairs": Read, "section": Write, "owners": Write, "gated": Write,
     ], { preamble: angle_constants }),
@@ -109,25 +106,13 @@ pub static PASSES: [Pass; 16] = [
     pass!("measure_short", Iterate, ShortFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
-    ], { constants: &[("MIDDLE", 0.0)], variants: Some(("LANES", &LANES)), subgroups: true }),
+    ], { variants: LANE_VARIANTS, subgroups: true }),
     pass!("measure_short_shared", Iterate, ShortFacesShared, 128, [
         DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
-    ], { constants: &[("MIDDLE", 0.0)], variants: Some(("LANES", &LANES)) }),
-    pass!("measure_middle" in "measure_short", Iterate, MiddleFaces, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
-    ], [
-        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
-        "triangle_support": Write, "listed_faces": Read,
-    ], { constants: &[("MIDDLE", 1.0)], variants: Some(("LANES", &MIDDLE_LANES)), subgroups: true }),
-    pass!("measure_middle_shared" in "measure_short_shared", Iterate, MiddleFacesShared, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
-    ], [
-        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
-        "triangle_support": Write, "listed_faces": Read,
-    ], { constants: &[("MIDDLE", 1.0)], variants: Some(("LANES", &MIDDLE_LANES)) }),
+    ], { variants: LANE_VARIANTS }),
     pass!("measure_long", Iterate, LongFaces, 256, [DISPATCH, DISTANCE, SCALAR, SCAN, FILTER], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Write, "keys": Write,
@@ -141,7 +126,7 @@ pub static PASSES: [Pass; 16] = [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Write, "keys": Write,
     ], { constants: &[("KEYED", 1.0)] }),
-    pass!("update", Iterate, Strips, 256, [DISPATCH, SCALAR, FILL], [
+    pass!("update", Iterate, NodesInTurn, 256, [DISPATCH, SCALAR, FILL], [
         "cylinders": Read, "triangle_values": Read, "radii": Write, "travels": Write,
     ]),
     pass!("support", Support, Nodes, 64, [DISPATCH], [
@@ -149,12 +134,31 @@ pub static PASSES: [Pass; 16] = [
     ]),
 ];
 
-/// Numbers of invocations per short face that `measure_short` is built for. Each has eight of the face's
-/// points.
+/// Numbers of invocations per short face. Each has eight of the face's points.
 pub const LANES: [u32; 6] = [1, 2, 4, 8, 16, 32];
 
-/// The same for `measure_middle`.
-const MIDDLE_LANES: [u32; 3] = [8, 16, 32];
+/// What `measure_short` is built for: invocations per short face, and per face of middle size, for which it takes up to
+/// eight times as many as one subgroup or workgroup can have. Where that is no more, there are none of middle size.
+const LANE_VARIANTS: Variants = Variants {
+    names: &["LANES", "MIDDLE_LANES"],
+    values: &[
+        &[1, 4],
+        &[1, 8],
+        &[2, 4],
+        &[2, 8],
+        &[2, 16],
+        &[4, 4],
+        &[4, 8],
+        &[4, 16],
+        &[4, 32],
+        &[8, 8],
+        &[8, 16],
+        &[8, 32],
+        &[16, 16],
+        &[16, 32],
+        &[32, 32],
+    ],
+};
 
 /// The constants of the arc tangent.
 fn angle_constants() -> String {

@@ -3,7 +3,9 @@
 use super::FitWorkspace;
 use crate::cylinders::fit::DeformedTube;
 use crate::cylinders::fit::cpu::Deformation;
-use crate::cylinders::passes::{FitParameters, NONE, Section, TriangleStatistic, listed_faces};
+use crate::cylinders::passes::{
+    FitParameters, NONE, Section, TriangleStatistic, grouped_point, listed_faces,
+};
 use crate::gpu::{Context, GpuError, checked};
 use crate::settings::Settings;
 
@@ -109,7 +111,11 @@ pub(super) fn run_on_cpu(
         }
         let before = points.len() as u32;
         offsets.extend(deformation.groups.offsets.iter().skip(1).map(|offset| before + offset));
-        points.extend(deformation.groups.points.iter().map(|[r, theta, z]| [*r, *theta, *z, 0.0]));
+        let faces = progress.len() as u32 * workspace.parameters().faces..;
+        for (face, ends) in faces.zip(deformation.groups.offsets.windows(2)) {
+            let of_face = &deformation.groups.points[ends[0] as usize..ends[1] as usize];
+            points.extend(of_face.iter().map(|p| grouped_point(*p, face)));
+        }
         radii.extend_from_slice(&deformation.radii);
         values.extend(deformation.statistics.iter().map(TriangleStatistic::value_word));
         support.extend(deformation.statistics.iter().map(TriangleStatistic::support_words));

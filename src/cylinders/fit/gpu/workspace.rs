@@ -26,7 +26,6 @@ pub struct FitWorkspace {
     classes: Classes,
     /// Whether faces have so many points that several workgroups share the distances of each.
     shared_faces: bool,
-    middle_groups: u32,
     long_groups: u32,
     buffers: Buffers,
     /// Bind groups by pass: `update`'s by iteration, those of the passes before it for the last iteration and for
@@ -72,7 +71,12 @@ impl Plan {
             needed: 12 * slots,
             allowed: 12 * u64::from(u32::MAX),
         })?;
-        let mut parameters = FitParameters::new(settings, cylinders, slot_count, pairs, classes.lanes());
+        let mut parameters = FitParameters::new(settings, cylinders, slot_count, pairs, classes.lanes);
+        if parameters.max_middle > parameters.max_short {
+            let blocks =
+                most_above(&parameters, parameters.max_short).div_ceil(u64::from(128 / classes.lanes[1]));
+            parameters.middle_groups = (groups_in_turn(context, blocks) as u32).div_ceil(cylinders.max(1));
+        }
         // One window where the points fit a cache anyhow, or the device is a program that has no more than
         // the CPU's.
         if slot_count > WINDOW && !context.is_software() {
@@ -83,7 +87,7 @@ impl Plan {
         let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
         let sizes = sizes(&parameters, point_count, settings.iterations, history, travel_stride);
         // A program on the CPU has no idle processors that could share them.
-        let shared_faces = classes.short.lanes == 0 && slots >= SHARED_FACE * faces && !context.is_software();
+        let shared_faces = classes.lanes[0] == 0 && slots >= SHARED_FACE * faces && !context.is_software();
         Ok(Self { parameters, classes, shared_faces, travel_stride, sizes })
     }
 }
@@ -177,21 +181,14 @@ fn most_above(parameters: &FitParameters, points: u32) -> u64 {
     faces.min(u64::from(parameters.slots) / (u64::from(points) + 1))
 }
 
-/// How the faces of a class are measured.
+/// How the faces below the long ones are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Class {
-    /// Invocations per face, each with eight of its points; 0 where there is no such class.
-    lanes: u32,
+pub(super) struct Classes {
+    /// Invocations per short face and per face of middle size, of which there are few; each has eight of its points.
+    /// The same number where there are no faces of middle size, 0 where there are no short ones either.
+    lanes: [u32; 2],
     /// Whether they exchange values in subgroups.
     subgroups: bool,
-}
-
-/// The classes of faces below the long ones, by their number of points.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Classes {
-    short: Class,
-    /// Those of which there are few.
-    middle: Class,
 }
 
 impl Classes {
@@ -201,17 +198,24 @@ impl Classes {
     fn new(slots: u64, faces: u64, width: Option<u32>) -> Self {
         let mean = slots as f64 / faces.max(1) as f64;
         let most = mean + 2.0 * mean.sqrt();
-        let short = LANES.into_iter().find(|&lanes| f64::from(8 * lanes) >= most).unwrap_or(0);
-        let middle = match short {
-            0 | 32 => 0,
-            lanes => (8 * lanes).min(32),
-        };
-        let class = |lanes| Class { lanes, subgroups: width.is_some_and(|width| lanes <= width) };
-        Self { short: class(short), middle: class(middle) }
+        Self::of(LANES.into_iter().find(|&lanes| f64::from(8 * lanes) >= most).unwrap_or(0), width)
     }
 
-    fn lanes(&self) -> [u32; 2] {
-        [self.short.lanes, self.middle.lanes]
+    /// The classes with so many invocations per short face.
+    fn of(short: u32, width: Option<u32>) -> Self {
+        // A face of middle size is measured in the way of the short ones.
+        let subgroups = width.is_some_and(|width| short <= width);
+        let widest = width.filter(|_| subgroups).map_or(32, |width| width.min(32));
+        Self { lanes: [short, (8 * short).min(widest)], subgroups }
+    }
+
+    /// Whether some fit on a device with subgroups of that width uses the pipeline for these lanes, with subgroups
+    /// or without.
+    pub(super) fn uses(width: Option<u32>, subgroups: bool, lanes: &[u32]) -> bool {
+        LANES
+            .into_iter()
+            .map(|short| Self::of(short, width))
+            .any(|of| of.subgroups == subgroups && of.lanes == lanes)
     }
 }
 
@@ -269,16 +273,11 @@ impl FitWorkspace {
                 (buffers, bind_groups)
             }
         };
-        let middle_blocks = match classes.middle.lanes {
-            0 => 0,
-            lanes => most_above(&parameters, parameters.max_short).div_ceil(u64::from(128 / lanes)),
-        };
         let workspace = Self {
             parameters,
             iterations,
             classes,
             shared_faces,
-            middle_groups: groups_in_turn(context, middle_blocks) as u32,
             long_groups: groups_in_turn(context, most_above(&parameters, parameters.max_middle)) as u32,
             buffers,
             bind_groups,
@@ -364,18 +363,16 @@ impl FitWorkspace {
             Items::SeveralBlocks | Items::Blocks => (blocks, 1),
             Items::Spine => (1, 1),
             Items::ShortFaces | Items::ShortFacesShared => {
-                (parameters.faces.div_ceil(size / self.classes.short.lanes.max(1)), parameters.cylinders)
+                let blocks = parameters.faces.div_ceil(size / self.classes.lanes[0].max(1));
+                (parameters.middle_groups + blocks, parameters.cylinders)
             }
-            Items::MiddleFaces | Items::MiddleFacesShared => (self.middle_groups, 1),
             Items::LongFaces | Items::KeyedFaces => (self.long_groups, 1),
             Items::Points => (parameters.slots.div_ceil(size), 1),
-            Items::Strips => {
-                let width = (parameters.nodes + 2).min(size);
-                let strips = (parameters.levels + 1) * parameters.nodes.div_ceil(width - 2);
-                let most = MOST_UPDATE_GROUPS.div_ceil(parameters.cylinders);
-                (strips.div_ceil(size / width).min(most), parameters.cylinders)
-            }
             Items::Nodes => (parameters.node_count.div_ceil(size), parameters.cylinders),
+            Items::NodesInTurn => {
+                let most = MOST_UPDATE_GROUPS.div_ceil(parameters.cylinders);
+                (parameters.node_count.div_ceil(size).min(most), parameters.cylinders)
+            }
         };
         let [x, y] = dispatch_size(count);
         [x, y, layers]
@@ -391,10 +388,8 @@ impl FitWorkspace {
             Items::FewTiles => !several_blocks,
             Items::LongFaces => !self.shared_faces,
             Items::Points | Items::KeyedFaces => self.shared_faces,
-            Items::ShortFaces => self.classes.short.lanes > 0 && self.classes.short.subgroups,
-            Items::ShortFacesShared => self.classes.short.lanes > 0 && !self.classes.short.subgroups,
-            Items::MiddleFaces => self.classes.middle.subgroups,
-            Items::MiddleFacesShared => !self.classes.middle.subgroups,
+            Items::ShortFaces => self.classes.lanes[0] > 0 && self.classes.subgroups,
+            Items::ShortFacesShared => self.classes.lanes[0] > 0 && !self.classes.subgroups,
             _ => true,
         };
         work && self.groups(pass)[0] > 0
@@ -418,11 +413,11 @@ impl FitWorkspace {
         if x > 0
             && let Some(bind_group) = bind_groups.get(place).or(bind_groups.first())
         {
-            let class = match ready.pass.items {
-                Items::MiddleFaces | Items::MiddleFacesShared => self.classes.middle,
-                _ => self.classes.short,
+            let lanes = match ready.pass.items {
+                Items::ShortFaces | Items::ShortFacesShared => &self.classes.lanes[..],
+                _ => &[],
             };
-            compute.set_pipeline(ready.pipeline.get(&context.device, class.lanes)?);
+            compute.set_pipeline(ready.pipeline.get(&context.device, lanes)?);
             compute.set_bind_group(0, bind_group, &[]);
             compute.dispatch_workgroups(x, y, z);
         }
@@ -468,7 +463,7 @@ impl FitWorkspace {
         }
         if done.iterations() == 0 {
             // Elsewhere every triangle's is written.
-            if self.classes.short.lanes == 0 || self.iterations == 0 {
+            if self.classes.lanes[0] == 0 || self.iterations == 0 {
                 encoder.clear_buffer(&self.buffers["triangle_values"], 0, Some(8 * all_faces));
                 encoder.clear_buffer(&self.buffers["triangle_support"], 0, Some(16 * all_faces));
             }
