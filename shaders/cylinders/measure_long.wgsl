@@ -9,7 +9,7 @@ override KEYED: u32 = 0u;
 @group(0) @binding(2) var<storage, read> offsets: array<u32>;
 @group(0) @binding(3) var<storage, read> grouped: array<vec4u>;
 @group(0) @binding(4) var<storage, read> radii: array<f32>;
-// Per cylinder those of its bottom triangles, then those of its top ones.
+// Face after face, its bottom triangle's and its top one's.
 @group(0) @binding(5) var<storage, read_write> triangle_values: array<u32>;
 @group(0) @binding(6) var<storage, read_write> triangle_support: array<TriangleSupport>;
 // Counts those that were measured to the end: some drivers end loops early without an error, and the host must
@@ -385,7 +385,7 @@ fn main(
                 word = value_word(value);
                 own.residual = mean_of(sum_of(2u + local), rule.unit, own.kept);
             }
-            let triangle = (2u * cylinder + local) * parameters.faces + face;
+            let triangle = 2u * face_of_all + local;
             triangle_values[triangle] = word;
             // Only the last iteration's is used.
             if (parameters.last == 1u) {

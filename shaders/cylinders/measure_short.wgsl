@@ -10,7 +10,7 @@ fn exchange(own: vec4u, mask: u32, local: u32) -> vec4u {
 
 // The value of another invocation of the face.
 fn value_at(own: u32, other: u32, local: u32) -> u32 {
-    return subgroupShuffle(own, other % subgroup_width);
+    return subgroupShuffle(own, other & (subgroup_width - 1u));
 }
 
 @compute @workgroup_size(128)
@@ -22,5 +22,5 @@ fn main(
     @builtin(subgroup_invocation_id) lane: u32,
 ) {
     subgroup_width = width;
-    measure_blocks(workgroup_index(group, groups), group.z, id * width + lane);
+    measure_blocks(workgroup_index(group, groups), groups.x * groups.y, group.z, id * width + lane);
 }

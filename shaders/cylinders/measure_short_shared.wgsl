@@ -25,5 +25,5 @@ fn main(
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
-    measure_blocks(workgroup_index(group, groups), group.z, local);
+    measure_blocks(workgroup_index(group, groups), groups.x * groups.y, group.z, local);
 }

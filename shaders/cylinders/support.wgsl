@@ -2,7 +2,7 @@
 // cylinder: the number of kept points, and of all points in the section.
 
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
-@group(0) @binding(1) var<storage, read> triangle_support: array<TriangleSupport>;
+@group(0) @binding(1) var<storage, read> triangle_support: array<FaceSupport>;
 @group(0) @binding(2) var<storage, read_write> support: array<u32>;
 @group(0) @binding(3) var<storage, read_write> residuals: array<f32>;
 @group(0) @binding(4) var<storage, read_write> tallies: array<atomic<u32>>;
@@ -10,13 +10,17 @@
 
 var<workgroup> own_kept: atomic<u32>;
 
+struct FaceSupport {
+    bottom: TriangleSupport,
+    top: TriangleSupport,
+}
+
 struct Sum {
     count: u32,
     total: f32,
 }
 
-fn plus(sum: Sum, triangle: u32) -> Sum {
-    let s = triangle_support[triangle];
+fn plus(sum: Sum, s: TriangleSupport) -> Sum {
     return Sum(sum.count + s.kept, sum.total + f32(s.kept) * s.residual);
 }
 
@@ -32,37 +36,38 @@ fn main(
     workgroupBarrier();
     let node = workgroup_index(group, groups) * 64u + local;
     let cylinder = group.z;
-    let bottom = 2u * cylinder * parameters.faces;
-    let top = bottom + parameters.faces;
+    let first_face = cylinder * parameters.faces;
     if (node < parameters.node_count) {
         let ring = node / parameters.nodes;
         let j = node % parameters.nodes;
         let before = select(j, parameters.nodes, j == 0u) - 1u;
         var sum = Sum(0u, 0.0);
         if (ring > 0u) {
-            let row = (ring - 1u) * parameters.nodes;
-            sum = plus(sum, top + row + before);
-            sum = plus(sum, bottom + row + before);
-            sum = plus(sum, top + row + j);
+            let row = first_face + (ring - 1u) * parameters.nodes;
+            let beside = triangle_support[row + before];
+            sum = plus(sum, beside.top);
+            sum = plus(sum, beside.bottom);
+            sum = plus(sum, triangle_support[row + j].top);
         }
         if (ring < parameters.levels) {
-            let row = ring * parameters.nodes;
-            sum = plus(sum, bottom + row + before);
-            sum = plus(sum, top + row + j);
-            sum = plus(sum, bottom + row + j);
+            let row = first_face + ring * parameters.nodes;
+            let own = triangle_support[row + j];
+            sum = plus(sum, triangle_support[row + before].bottom);
+            sum = plus(sum, own.top);
+            sum = plus(sum, own.bottom);
         }
         support[cylinder * parameters.node_count + node] = sum.count;
         residuals[cylinder * parameters.node_count + node] = sum.total / f32(max(1u, sum.count));
     }
     if (node < parameters.faces) {
-        atomicAdd(&own_kept, triangle_support[bottom + node].kept + triangle_support[top + node].kept);
+        let own = triangle_support[first_face + node];
+        atomicAdd(&own_kept, own.bottom.kept + own.top.kept);
     }
     workgroupBarrier();
     if (local == 0u) {
         atomicAdd(&tallies[2u * cylinder], atomicLoad(&own_kept));
     }
     if (node == 0u) {
-        let first = cylinder * parameters.faces;
-        atomicStore(&tallies[2u * cylinder + 1u], offsets[first + parameters.faces] - offsets[first]);
+        atomicStore(&tallies[2u * cylinder + 1u], offsets[first_face + parameters.faces] - offsets[first_face]);
     }
 }

@@ -194,9 +194,12 @@ fn pipeline_constants_are_those_of_the_pass_table() {
         assert_eq!(found, given, "{}", pass.name);
         assert!(pass.variants.values.iter().all(|values| values.len() == pass.variants.names.len()));
     }
-    for (pass, other, constant) in
-        [("bin", "bin_few", "FEW"), ("measure_long", "measure_long_keyed", "KEYED")]
-    {
+    for (pass, other, constant) in [
+        ("bin", "bin_few", "FEW"),
+        ("measure_short", "measure_middle", "MIDDLE"),
+        ("measure_short_shared", "measure_middle_shared", "MIDDLE"),
+        ("measure_long", "measure_long_keyed", "KEYED"),
+    ] {
         assert_eq!(
             (row(pass).constants, row(other).constants),
             (&[(constant, 0.0)][..], &[(constant, 1.0)][..])
@@ -221,7 +224,7 @@ macro_rules! fields {
 fn structures_have_the_same_layout() {
     let parameters = fields!(FitParameters: nodes, levels, faces, node_count, cylinders, slots, outliers, statistic,
         half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, max_short, max_middle, pairs,
-        window, last, middle_groups);
+        window, last);
     let cylinder = fields!(DeviceCylinder: gate_low, gate_high, scale, unit);
     for pass in fit() {
         assert_eq!(layout(&module(pass), "FitParameters"), parameters, "{}", pass.name);

@@ -25,9 +25,16 @@ fn statistics(triangles: usize, empty: f64, seed: u64) -> Vec<TriangleStatistic<
         .collect()
 }
 
-/// Their values as the device holds them.
-fn values(statistics: &[TriangleStatistic<f32>]) -> Vec<u32> {
-    statistics.iter().map(TriangleStatistic::value_word).collect()
+/// What the device holds of triangles, face after face.
+fn by_face<W>(
+    statistics: &[TriangleStatistic<f32>],
+    tube: &Tube,
+    word: impl Fn(&TriangleStatistic<f32>) -> W,
+) -> Vec<W> {
+    let faces = tube.face_count();
+    let of_cylinder =
+        |own: &[_]| (0..faces).flat_map(|face| [word(&own[face]), word(&own[faces + face])]).collect();
+    statistics.chunks(2 * faces).flat_map(|own| -> Vec<W> { of_cylinder(own) }).collect()
 }
 
 /// Runs `work` on a workspace of three cylinders, for tubes with a number of faces about the 64 invocations of
@@ -73,7 +80,7 @@ fn update_is_its_twin() {
         let (faces, nodes) = (tube.face_count(), tube.node_count());
         let mut rng = seeded(47);
         let before: Vec<f32> = (0..3 * nodes).map(|_| rng.random_range(9.0..15.0)).collect();
-        let words = values(statistics);
+        let words = by_face(statistics, tube, TriangleStatistic::value_word);
         let inputs = [
             ("triangle_values", bytemuck::cast_slice(&words)),
             ("radii", bytemuck::cast_slice(&before)),
@@ -115,7 +122,7 @@ fn update_takes_nodes_in_turn() {
         let workspace = device.engine.prepare(10, RADIUS_MM, &settings).unwrap();
         let (tube, filter) = (Tube::new(&settings), Filter::<f32>::new(&settings, RADIUS_MM));
         let statistics = statistics(2 * tube.face_count(), 0.2, 211);
-        let words = values(&statistics);
+        let words = by_face(&statistics, &tube, TriangleStatistic::value_word);
         let before = vec![12.0_f32; tube.node_count()];
         let inputs = [
             ("triangle_values", bytemuck::cast_slice(&words)),
@@ -146,7 +153,7 @@ fn support_is_its_twin() {
             tallies.push(offsets[(cylinder + 1) * faces] - offsets[cylinder * faces]);
         }
         assert_eq!(tallies.len(), 2 * request.frames.len());
-        let words: Vec<[u32; 2]> = statistics.iter().map(TriangleStatistic::support_words).collect();
+        let words = by_face(statistics, tube, TriangleStatistic::support_words);
         let inputs = [
             ("triangle_support", bytemuck::cast_slice(&words)),
             ("offsets", bytemuck::cast_slice(&offsets)),

@@ -5,27 +5,29 @@
 
 override LANES: u32 = 8u;
 override MIDDLE_LANES: u32 = 32u;
+// 1: the faces of middle size, which are listed, instead of the short ones among all.
+override MIDDLE: u32 = 0u;
 
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 @group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
 @group(0) @binding(2) var<storage, read> offsets: array<u32>;
 @group(0) @binding(3) var<storage, read> grouped: array<vec4u>;
 @group(0) @binding(4) var<storage, read> radii: array<f32>;
-// Per cylinder those of its bottom triangles, then those of its top ones.
+// Face after face, its bottom triangle's and its top one's.
 @group(0) @binding(5) var<storage, read_write> triangle_values: array<u32>;
 @group(0) @binding(6) var<storage, read_write> triangle_support: array<TriangleSupport>;
 @group(0) @binding(7) var<storage, read> listed_faces: array<u32>;
 
 const THREADS: u32 = 128u;
 
-// Most lanes a face with which the workgroup shares out the distances of all its faces point by point. With more, a
-// face's own invocations have little to wait for each other.
+// Most lanes a face with which the workgroup shares out the distances of all its faces point by point. With more, few
+// places of a face's own invocations are without a point.
 const MOST_SHARING_LANES: u32 = 2u;
-// Most points that a workgroup shares out: eight an invocation.
-const MOST_SHARED: u32 = 8u * THREADS;
+// Points that it shares out at a time.
+const CHUNK: u32 = 4u * THREADS;
 
-// The keys of the points that it shares out.
-var<workgroup> shared_keys: array<u32, 1024>;
+// Their keys.
+var<workgroup> shared_keys: array<u32, 512>;
 // Of each of its faces: r of the corners a, b, b' and a', less that of a but for a; then the rest of `Face`.
 var<workgroup> corners: array<vec4f, 128>;
 var<workgroup> per_edges: array<vec4f, 128>;
@@ -297,22 +299,26 @@ fn four_keys(begin: u32, count: u32, first: u32, lanes: u32, a: f32, face: Face,
     );
 }
 
-// Puts the key of the i-th point that the workgroup shares out at its place.
+// Puts the key of a point at a place of the chunk, unless it is beyond the end or on a face that is not short.
 fn share_out(i: u32, count: u32, p: vec4u, first_face: u32, scale: f32) {
     if (i >= count) {
         return;
     }
     let face = p.w - first_face;
+    let o = per_others[face];
+    if (o.w == 0.0) {
+        return;
+    }
     let r = corners[face];
     let e = per_edges[face];
-    let o = per_others[face];
     let shape = Face(r.y, r.z, r.w, e.x, e.y, e.z, e.w, o.x, o.y, o.z);
     shared_keys[i] = key_of_point(p, r.x, shape, scale);
 }
 
-// Computes the keys of the points from `begin` on, which lie on the workgroup's faces from `first_face` on.
-fn share_out_four(begin: u32, count: u32, i: u32, first_face: u32, scale: f32) {
-    let at = vec4u(i, i + THREADS, i + 2u * THREADS, i + 3u * THREADS);
+// Computes the keys of a chunk of `count` points from `begin` on, which lie on the workgroup's faces from `first_face`
+// on. All points of an invocation are read before its first distance is computed.
+fn share_out_chunk(begin: u32, count: u32, first_face: u32, scale: f32, local: u32) {
+    let at = vec4u(local, local + THREADS, local + 2u * THREADS, local + 3u * THREADS);
     let places = vec4u(begin) + min(at, vec4u(count - 1u));
     let p = grouped[places.x];
     let q = grouped[places.y];
@@ -324,21 +330,23 @@ fn share_out_four(begin: u32, count: u32, i: u32, first_face: u32, scale: f32) {
     share_out(at.w, count, s, first_face, scale);
 }
 
-// Four keys of an invocation among those that were shared out.
-fn four_shared_keys(begin: u32, count: u32, first: u32, lanes: u32) -> vec4u {
-    let at = vec4u(first, first + lanes, first + 2u * lanes, first + 3u * lanes);
-    let places = vec4u(begin) + min(at, vec4u(max(count, 1u) - 1u));
+// Four keys of an invocation with those of them that are in a chunk. `begin` is the place in it, or before it, where
+// the face's points begin.
+fn four_shared_keys(old: vec4u, begin: u32, count: u32, first: u32, lanes: u32) -> vec4u {
+    let of_face = vec4u(first, first + lanes, first + 2u * lanes, first + 3u * lanes);
+    // Beyond the chunk where they are before it.
+    let at = vec4u(begin) + of_face;
     let four = vec4u(
-        shared_keys[places.x],
-        shared_keys[places.y],
-        shared_keys[places.z],
-        shared_keys[places.w],
+        shared_keys[min(at.x, CHUNK - 1u)],
+        shared_keys[min(at.y, CHUNK - 1u)],
+        shared_keys[min(at.z, CHUNK - 1u)],
+        shared_keys[min(at.w, CHUNK - 1u)],
     );
-    return select(vec4u(EMPTY), four, at < vec4u(count));
+    return select(old, four, at < vec4u(CHUNK) & of_face < vec4u(count));
 }
 
-// Measures the face of the invocation, if it has one (NONE otherwise) and no more than 8 · lanes points.
-// `first_face` is the workgroup's first of `faces_here` consecutive faces, which is 0 where they are none.
+// Measures the face of the invocation, if it has one (NONE otherwise) and no more than 8 · lanes points. The
+// workgroup's faces are `faces_here` consecutive ones from `first_face` on, or any where `faces_here` is 0.
 fn measure(face_of_all: u32, cylinder: u32, first_face: u32, faces_here: u32, lanes: u32, local: u32) {
     let lane = local % lanes;
     let is_face = face_of_all != NONE;
@@ -361,28 +369,24 @@ fn measure(face_of_all: u32, cylinder: u32, first_face: u32, faces_here: u32, la
     }
     let is_own = is_face && points <= 8u * lanes;
     let count = select(0u, points, is_own);
-    var begin_shared = 0u;
-    var shared_count = 0u;
-    if (faces_here > 0u) {
-        begin_shared = offsets[first_face];
-        shared_count = offsets[first_face + faces_here] - begin_shared;
-    }
     var k = Keys(vec4u(EMPTY), vec4u(EMPTY));
-    if (shared_count > 0u && shared_count <= MOST_SHARED) {
+    if (MIDDLE == 0u && LANES <= MOST_SHARING_LANES) {
+        let begin_shared = offsets[first_face];
+        let end_shared = offsets[first_face + faces_here];
         if (lane == 0u) {
             let slot = local / lanes;
             corners[slot] = vec4f(a, shape.b, shape.b_above, shape.a_above);
             per_edges[slot] = vec4f(shape.per_ab, shape.per_aa, shape.per_diagonal, shape.per_bb);
-            per_others[slot] = vec4f(shape.per_across, shape.per_bottom, shape.per_top, 0.0);
+            per_others[slot] = vec4f(shape.per_across, shape.per_bottom, shape.per_top, select(0.0, 1.0, is_own));
         }
-        workgroupBarrier();
-        share_out_four(begin_shared, shared_count, local, first_face, rule.scale);
-        if (shared_count > 4u * THREADS) {
-            share_out_four(begin_shared, shared_count, local + 4u * THREADS, first_face, rule.scale);
+        for (var chunk = begin_shared; chunk < end_shared; chunk += CHUNK) {
+            workgroupBarrier();
+            share_out_chunk(chunk, min(end_shared - chunk, CHUNK), first_face, rule.scale, local);
+            workgroupBarrier();
+            let begin_here = begin - chunk;
+            k.a = four_shared_keys(k.a, begin_here, count, lane, lanes);
+            k.b = four_shared_keys(k.b, begin_here, count, lane + 4u * lanes, lanes);
         }
-        workgroupBarrier();
-        k.a = four_shared_keys(begin - begin_shared, count, lane, lanes);
-        k.b = four_shared_keys(begin - begin_shared, count, lane + 4u * lanes, lanes);
     } else {
         k.a = four_keys(begin, count, lane, lanes, a, shape, rule.scale);
         k.b = four_keys(begin, count, lane + 4u * lanes, lanes, a, shape, rule.scale);
@@ -422,15 +426,13 @@ fn measure(face_of_all: u32, cylinder: u32, first_face: u32, faces_here: u32, la
         );
     }
 
-    // Twice the faces of the cylinders before, and the face within its own.
-    let to = face_of_all + cylinder * parameters.faces;
     if (lanes == 1u) {
         if (is_own) {
-            write_triangle(to, 0u, sums, medians.x, rule.unit);
-            write_triangle(to + parameters.faces, 1u, sums, medians.y, rule.unit);
+            write_triangle(2u * face_of_all, 0u, sums, medians.x, rule.unit);
+            write_triangle(2u * face_of_all + 1u, 1u, sums, medians.y, rule.unit);
         }
     } else if (is_own && lane < 2u) {
-        write_triangle(to + lane * parameters.faces, lane, sums, medians[lane], rule.unit);
+        write_triangle(2u * face_of_all + lane, lane, sums, medians[lane], rule.unit);
     }
 }
 
@@ -452,24 +454,22 @@ fn measure_short(block: u32, cylinder: u32, local: u32) {
     let index = first + local / LANES;
     let before = cylinder * parameters.faces;
     let face_of_all = select(NONE, before + index, index < parameters.faces);
-    var faces_here = 0u;
-    if (LANES <= MOST_SHARING_LANES && first < parameters.faces) {
-        faces_here = min(THREADS / LANES, parameters.faces - first);
-    }
-    measure(face_of_all, cylinder, before + first, faces_here, LANES, local);
+    // A few workgroups may be beyond the last face.
+    let first_here = min(first, parameters.faces);
+    let faces_here = min(THREADS / LANES, parameters.faces - first_here);
+    measure(face_of_all, cylinder, before + first_here, faces_here, LANES, local);
 }
 
 // What one workgroup does: the first of each cylinder's take the faces of middle size in turn, together with those of
 // the other cylinders, and each of the others a block of short ones.
-fn measure_blocks(index: u32, cylinder: u32, local: u32) {
-    if (index >= parameters.middle_groups) {
-        measure_short(index - parameters.middle_groups, cylinder, local);
+fn measure_blocks(index: u32, groups: u32, cylinder: u32, local: u32) {
+    if (MIDDLE == 0u) {
+        measure_short(index, cylinder, local);
         return;
     }
     let faces_here = THREADS / MIDDLE_LANES;
     let blocks = (listed_faces[MIDDLE_COUNT] + faces_here - 1u) / faces_here;
-    let groups = parameters.cylinders * parameters.middle_groups;
-    for (var block = cylinder * parameters.middle_groups + index; block < blocks; block += groups) {
+    for (var block = index; block < blocks; block += groups) {
         measure_middle(block, local);
         workgroupBarrier();
     }

@@ -24,8 +24,6 @@ struct FitParameters {
     window: u32,
     // 1 in the last iteration.
     last: u32,
-    // Workgroups for the faces of middle size, per cylinder.
-    middle_groups: u32,
 }
 
 struct Cylinder {

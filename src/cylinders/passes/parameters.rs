@@ -183,14 +183,12 @@ pub struct FitParameters {
     pub window: u32,
     /// 1 in the last iteration, whose support is used.
     pub last: u32,
-    /// Workgroups that take the faces of middle size in turn, per cylinder.
-    pub middle_groups: u32,
 }
 
 impl FitParameters {
     /// The parameters of a batch; `lanes` invocations measure a short face and one of middle size, 0 where there
     /// are none. Without `pairs` the batch is one tube, and its points already are in tube coordinates. `scatter`
-    /// writes the points of all faces at a time, and no workgroup takes faces of middle size.
+    /// writes the points of all faces at a time.
     pub fn new(
         settings: &Settings,
         cylinders: u32,
@@ -227,7 +225,6 @@ impl FitParameters {
             pairs: pairs.unwrap_or(0),
             window: cylinders.saturating_mul(tube.face_count() as u32).max(1),
             last: 1,
-            middle_groups: 0,
         }
     }
 }

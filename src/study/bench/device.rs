@@ -174,7 +174,9 @@ const FLOPS_PER_DISTANCE: u64 = 140;
 /// The amount of work of the passes of a fit.
 struct Work {
     points: u64,
-    /// Those in long faces.
+    /// Those in short faces, in faces of middle size, and in long ones.
+    short: u64,
+    middle: u64,
     long: u64,
     faces: u64,
     nodes: u64,
@@ -187,9 +189,13 @@ impl Work {
         let groups = group(section, &Tube::new(settings));
         let counts = groups.offsets.windows(2).map(|w| w[1] - w[0]);
         let above = |most: u32| -> u64 { counts.clone().filter(|&n| n > most).map(u64::from).sum() };
+        let (points, long) = (section.len() as u64, above(job.max_middle));
+        let short = points - above(job.max_short);
         Self {
-            points: section.len() as u64,
-            long: above(job.max_middle),
+            points,
+            short,
+            middle: points - short - long,
+            long,
             faces: u64::from(job.faces),
             nodes: u64::from(job.node_count),
             iterations: u64::from(settings.iterations),
@@ -198,8 +204,7 @@ impl Work {
 
     /// Bytes and floating-point operations of a pass over a fit.
     fn of_pass(&self, pass: &str) -> (u64, u64) {
-        let Self { points, long, faces, nodes, iterations } = *self;
-        let others = points - long;
+        let Self { points, short, middle, long, faces, nodes, iterations } = *self;
         let flops = |points: u64| iterations * FLOPS_PER_DISTANCE * points;
         match pass {
             "bin" | "bin_few" => ((8 + 8) * points + 4 * faces, 0),
@@ -207,9 +212,10 @@ impl Work {
             "scan_downsweep" => (8 * faces, 0),
             "scatter" => ((12 + 8 + 16) * points + 4 * faces, 0),
             // The support is written in one iteration only.
-            "measure_short" | "measure_short_shared" if others > 0 => {
-                (iterations * (16 * others + (4 + 8) * faces + 4 * nodes) + 16 * faces, flops(others))
+            "measure_short" | "measure_short_shared" if short > 0 => {
+                (iterations * (16 * short + (4 + 8) * faces + 4 * nodes) + 16 * faces, flops(short))
             }
+            "measure_middle" | "measure_middle_shared" => (iterations * 16 * middle, flops(middle)),
             // Keys are written once, and read in each of four rounds and for the sums.
             "measure_long" => (iterations * (16 + 4 + 6 * 4) * long, flops(long)),
             "distance" => (iterations * (16 + 4) * points, flops(points)),

@@ -34,11 +34,14 @@ pub enum Items {
     Spine,
     /// One workgroup per 1024 faces of the batch.
     Blocks,
-    /// Cylinder by cylinder workgroups that take the faces of middle size in turn, then one or more invocations per
-    /// short face ([`LANES`]); with subgroups.
+    /// [`LANES`] invocations per face, cylinder by cylinder, with subgroups.
     ShortFaces,
     /// The same without subgroups.
     ShortFacesShared,
+    /// Workgroups that take the faces of middle size in turn, with subgroups.
+    MiddleFaces,
+    /// The same without subgroups.
+    MiddleFacesShared,
     /// Workgroups that take the long faces in turn, where they have not so many points that `distance` comes
     /// first.
     LongFaces,
@@ -85,7 +88,7 @@ macro_rules! pass {
 }
 
 /// Every pass, in the order in which they run.
-pub static PASSES: [Pass; 14] = [
+pub static PASSES: [Pass; 16] = [
     pass!("project", Project, Pairs, 64, [DISPATCH, ANGLE], [
         "cylinders": Read, "points": Read, "pairs": Read, "section": Write, "owners": Write, "gated": Write,
     ], { preamble: angle_constants }),
@@ -106,13 +109,25 @@ pub static PASSES: [Pass; 14] = [
     pass!("measure_short", Iterate, ShortFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
-    ], { variants: LANE_VARIANTS, subgroups: true }),
+    ], { constants: &[("MIDDLE", 0.0)], variants: LANE_VARIANTS, subgroups: true }),
     pass!("measure_short_shared", Iterate, ShortFacesShared, 128, [
         DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
-    ], { variants: LANE_VARIANTS }),
+    ], { constants: &[("MIDDLE", 0.0)], variants: LANE_VARIANTS }),
+    pass!("measure_middle" in "measure_short", Iterate, MiddleFaces, 128, [
+        DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
+    ], [
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
+        "triangle_support": Write, "listed_faces": Read,
+    ], { constants: &[("MIDDLE", 1.0)], variants: LANE_VARIANTS, subgroups: true }),
+    pass!("measure_middle_shared" in "measure_short_shared", Iterate, MiddleFacesShared, 128, [
+        DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
+    ], [
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
+        "triangle_support": Write, "listed_faces": Read,
+    ], { constants: &[("MIDDLE", 1.0)], variants: LANE_VARIANTS }),
     pass!("measure_long", Iterate, LongFaces, 256, [DISPATCH, DISTANCE, SCALAR, SCAN, FILTER], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Write, "keys": Write,

@@ -117,8 +117,11 @@ pub(super) fn run_on_cpu(
             points.extend(of_face.iter().map(|p| grouped_point(*p, face)));
         }
         radii.extend_from_slice(&deformation.radii);
-        values.extend(deformation.statistics.iter().map(TriangleStatistic::value_word));
-        support.extend(deformation.statistics.iter().map(TriangleStatistic::support_words));
+        let (bottoms, tops) = deformation.statistics.split_at(workspace.parameters().faces as usize);
+        for triangle in bottoms.iter().zip(tops).flat_map(|(bottom, top)| [bottom, top]) {
+            values.push(TriangleStatistic::value_word(triangle));
+            support.push(TriangleStatistic::support_words(triangle));
+        }
         progress.push(CpuProgress { travel_mm: deformation.travel_mm, history_mm: deformation.history_mm });
     }
     write("offsets", bytemuck::cast_slice(&offsets))?;

@@ -26,6 +26,7 @@ pub struct FitWorkspace {
     classes: Classes,
     /// Whether faces have so many points that several workgroups share the distances of each.
     shared_faces: bool,
+    middle_groups: u32,
     long_groups: u32,
     buffers: Buffers,
     /// Bind groups by pass: `update`'s by iteration, those of the passes before it for the last iteration and for
@@ -72,11 +73,6 @@ impl Plan {
             allowed: 12 * u64::from(u32::MAX),
         })?;
         let mut parameters = FitParameters::new(settings, cylinders, slot_count, pairs, classes.lanes);
-        if parameters.max_middle > parameters.max_short {
-            let blocks =
-                most_above(&parameters, parameters.max_short).div_ceil(u64::from(128 / classes.lanes[1]));
-            parameters.middle_groups = (groups_in_turn(context, blocks) as u32).div_ceil(cylinders.max(1));
-        }
         // One window where the points fit a cache anyhow, or the device is a program that has no more than
         // the CPU's.
         if slot_count > WINDOW && !context.is_software() {
@@ -273,11 +269,16 @@ impl FitWorkspace {
                 (buffers, bind_groups)
             }
         };
+        let middle_blocks = match parameters.max_middle > parameters.max_short {
+            true => most_above(&parameters, parameters.max_short).div_ceil(u64::from(128 / classes.lanes[1])),
+            false => 0,
+        };
         let workspace = Self {
             parameters,
             iterations,
             classes,
             shared_faces,
+            middle_groups: groups_in_turn(context, middle_blocks) as u32,
             long_groups: groups_in_turn(context, most_above(&parameters, parameters.max_middle)) as u32,
             buffers,
             bind_groups,
@@ -363,9 +364,9 @@ impl FitWorkspace {
             Items::SeveralBlocks | Items::Blocks => (blocks, 1),
             Items::Spine => (1, 1),
             Items::ShortFaces | Items::ShortFacesShared => {
-                let blocks = parameters.faces.div_ceil(size / self.classes.lanes[0].max(1));
-                (parameters.middle_groups + blocks, parameters.cylinders)
+                (parameters.faces.div_ceil(size / self.classes.lanes[0].max(1)), parameters.cylinders)
             }
+            Items::MiddleFaces | Items::MiddleFacesShared => (self.middle_groups, 1),
             Items::LongFaces | Items::KeyedFaces => (self.long_groups, 1),
             Items::Points => (parameters.slots.div_ceil(size), 1),
             Items::Nodes => (parameters.node_count.div_ceil(size), parameters.cylinders),
@@ -390,6 +391,8 @@ impl FitWorkspace {
             Items::Points | Items::KeyedFaces => self.shared_faces,
             Items::ShortFaces => self.classes.lanes[0] > 0 && self.classes.subgroups,
             Items::ShortFacesShared => self.classes.lanes[0] > 0 && !self.classes.subgroups,
+            Items::MiddleFaces => self.classes.subgroups,
+            Items::MiddleFacesShared => !self.classes.subgroups,
             _ => true,
         };
         work && self.groups(pass)[0] > 0
@@ -414,7 +417,10 @@ impl FitWorkspace {
             && let Some(bind_group) = bind_groups.get(place).or(bind_groups.first())
         {
             let lanes = match ready.pass.items {
-                Items::ShortFaces | Items::ShortFacesShared => &self.classes.lanes[..],
+                Items::ShortFaces
+                | Items::ShortFacesShared
+                | Items::MiddleFaces
+                | Items::MiddleFacesShared => &self.classes.lanes[..],
                 _ => &[],
             };
             compute.set_pipeline(ready.pipeline.get(&context.device, lanes)?);
