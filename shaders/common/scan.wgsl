@@ -1,4 +1,4 @@
-// Inclusive prefix sums over a workgroup of 256 invocations: over sixteen runs of sixteen, then over the
+// Inclusive prefix sums over the first 256 invocations of a workgroup: over sixteen runs of sixteen, then over the
 // runs. Few barriers, because each costs a software device as much as hundreds of operations. Twin:
 // numerics/scan.rs.
 
@@ -8,7 +8,10 @@ var<workgroup> runs: array<vec4u, 16>;
 // Four prefix sums at once. All invocations must call it. The sums of all others stay in `running` afterwards;
 // an invocation that reads them puts a barrier before the next scan.
 fn inclusive_scan_of_four(own: vec4u, local: u32) -> vec4u {
-    running[local] = own;
+    let takes_part = local < 256u;
+    if (takes_part) {
+        running[local] = own;
+    }
     workgroupBarrier();
     if (local < 16u) {
         var sum = vec4u(0u);
@@ -18,16 +21,20 @@ fn inclusive_scan_of_four(own: vec4u, local: u32) -> vec4u {
         runs[local] = sum;
     }
     workgroupBarrier();
-    let run = local / 16u;
     var upto = vec4u(0u);
-    for (var i = 0u; i < run; i++) {
-        upto += runs[i];
-    }
-    for (var i = 16u * run; i <= local; i++) {
-        upto += running[i];
+    if (takes_part) {
+        let run = local / 16u;
+        for (var i = 0u; i < run; i++) {
+            upto += runs[i];
+        }
+        for (var i = 16u * run; i <= local; i++) {
+            upto += running[i];
+        }
     }
     workgroupBarrier();
-    running[local] = upto;
+    if (takes_part) {
+        running[local] = upto;
+    }
     workgroupBarrier();
     return upto;
 }

@@ -18,7 +18,8 @@ override KEYED: u32 = 0u;
 // One key per point.
 @group(0) @binding(8) var<storage, read_write> keys: array<u32>;
 
-const THREADS: u32 = 256u;
+// Invocations per workgroup, 256 or more.
+override THREADS: u32 = 256u;
 
 // 2048 bins of the first round, then 128 for each of four ranks.
 var<workgroup> histogram: array<atomic<u32>, 2048>;
@@ -65,8 +66,6 @@ struct Keys {
     d: vec4u,
 }
 
-// From the first key that an invocation reads together to the first of its next ones.
-const STRIDE: u32 = 16u * THREADS;
 
 fn keys_from(i: u32, end: u32) -> Keys {
     if (i + 4u * THREADS >= end) {
@@ -133,7 +132,7 @@ fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
         rest = ranks;
     }
     workgroupBarrier();
-    for (var i = begin + local; i < end; i += STRIDE) {
+    for (var i = begin + local; i < end; i += 16u * THREADS) {
         let k = keys_from(i, end);
         count_first_of_four(k.a);
         count_first_of_four(k.b);
@@ -142,8 +141,10 @@ fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
     }
     workgroupBarrier();
     var own = 0u;
-    for (var bin = 8u * local; bin < 8u * local + 8u; bin++) {
-        own += atomicLoad(&histogram[bin]);
+    if (local < 256u) {
+        for (var bin = 8u * local; bin < 8u * local + 8u; bin++) {
+            own += atomicLoad(&histogram[bin]);
+        }
     }
     let before = inclusive_scan(own, local) - own;
     for (var which = 0u; which < 4u; which++) {
@@ -161,12 +162,13 @@ fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
     workgroupBarrier();
     for (var round = 0u; round < 3u; round++) {
         let shift = 14u - 7u * round;
-        atomicStore(&histogram[local], 0u);
-        atomicStore(&histogram[local + THREADS], 0u);
+        for (var bin = local; bin < 512u; bin += THREADS) {
+            atomicStore(&histogram[bin], 0u);
+        }
         let prefix = chosen;
         let wanted = rest;
         workgroupBarrier();
-        for (var i = begin + local; i < end; i += STRIDE) {
+        for (var i = begin + local; i < end; i += 16u * THREADS) {
             let k = keys_from(i, end);
             count_four(k.a, prefix, shift);
             count_four(k.b, prefix, shift);
@@ -261,7 +263,7 @@ fn sum_within(begin: u32, end: u32, bottom: Bounds, top: Bounds, rule: Cylinder,
     }
     workgroupBarrier();
     var shares = Shares(0u, NO_SHARE, NO_SHARE);
-    for (var i = begin + local; i < end; i += STRIDE) {
+    for (var i = begin + local; i < end; i += 16u * THREADS) {
         let k = keys_from(i, end);
         shares = with_four(shares, k.a, bottom, top, rule);
         shares = with_four(shares, k.b, bottom, top, rule);
@@ -303,7 +305,7 @@ fn bounds_of(half: u32, n: u32, quartiles: vec2u, unit: f32) -> Bounds {
     return box_plot(unpacked(quartiles.x, unit), unpacked(quartiles.y, unit));
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(THREADS)
 fn main(
     @builtin(workgroup_id) group: vec3u,
     @builtin(num_workgroups) groups: vec3u,
@@ -345,7 +347,7 @@ fn main(
                 own_number += number_of_key(i + 3u * THREADS, end, s, a, shape, rule.scale);
             }
         } else {
-            for (var i = begin + local; i < end; i += STRIDE) {
+            for (var i = begin + local; i < end; i += 16u * THREADS) {
                 let k = keys_from(i, end);
                 own_number += numbers_of(k.a) + numbers_of(k.b) + numbers_of(k.c) + numbers_of(k.d);
             }

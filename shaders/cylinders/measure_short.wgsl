@@ -10,6 +10,7 @@ fn exchange(own: vec4u, mask: u32, local: u32) -> vec4u {
 
 // The value of another invocation of the face.
 fn value_at(own: u32, other: u32, local: u32) -> u32 {
+    // A power of two.
     return subgroupShuffle(own, other & (subgroup_width - 1u));
 }
 

@@ -132,19 +132,26 @@ pub struct Requirements {
     pub limits: wgpu::Limits,
 }
 
+/// Most invocations of a workgroup that a pass makes use of.
+const LARGE_WORKGROUP: u32 = 1024;
+
 impl Requirements {
     /// The requirements of every job.
     pub fn new() -> Self {
         Self { features: wgpu::Features::empty(), limits: wgpu::Limits::default() }
     }
 
-    /// The same with all that the adapter can do for the engines: buffers and bindings as large as it allows,
-    /// and where it has them subgroups, which some passes are faster with, and timestamps of passes.
+    /// The same with all that the adapter can do for the engines: buffers and bindings as large as it allows, and
+    /// where it has them workgroups of up to 1024 invocations and subgroups, which some passes are faster with, and
+    /// timestamps of passes.
     #[must_use]
     pub fn with_all_room(mut self, adapter: &wgpu::Adapter) -> Self {
         let has = adapter.limits();
         self.limits.max_buffer_size = has.max_buffer_size;
         self.limits.max_storage_buffer_binding_size = has.max_storage_buffer_binding_size;
+        let invocations = has.max_compute_invocations_per_workgroup.min(has.max_compute_workgroup_size_x);
+        self.limits.max_compute_invocations_per_workgroup = invocations.min(LARGE_WORKGROUP);
+        self.limits.max_compute_workgroup_size_x = invocations.min(LARGE_WORKGROUP);
         self.features |= adapter.features() & (wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::SUBGROUP);
         self
     }
@@ -238,6 +245,12 @@ impl Context {
     /// On a host's device, whose error handlers stay the host's.
     pub(crate) fn of_host(device: wgpu::Device, queue: wgpu::Queue) -> Self {
         Self { device, queue, adapter: None, report: Arc::default(), transfers: Transfers::default() }
+    }
+
+    /// Whether the device has workgroups of that many invocations.
+    pub(crate) fn has_workgroups_of(&self, invocations: u32) -> bool {
+        let limits = self.device.limits();
+        invocations <= limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x)
     }
 
     /// The least number of invocations in a subgroup of the device, `None` where it was made without subgroups.

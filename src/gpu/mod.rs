@@ -17,4 +17,4 @@ pub use runner::PassTimes;
 pub(crate) use buffers::Buffers;
 pub(crate) use context::{Context, Job, Spent, checked};
 pub(crate) use runner::{ReadyPass, Runner, Timer, dispatch_size};
-pub(crate) use shader::{Access, Binding, Pass, Pipeline, Shader, Variants, constants};
+pub(crate) use shader::{Access, Binding, Pass, Pipeline, Shader, constants};

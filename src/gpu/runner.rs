@@ -48,6 +48,7 @@ impl<Stage, Items> Runner<Stage, Items> {
         let passes = table
             .iter()
             .filter(|pass| !pass.shader.subgroups || context.subgroup_width().is_some())
+            .filter(|pass| context.has_workgroups_of(pass.shader.workgroup_size))
             .map(|pass| Ok(ReadyPass { pass, pipeline: Pipeline::new(&context.device, &pass.shader)? }))
             .collect::<Result<_, GpuError>>()?;
         Ok(Self { context, passes, times: Mutex::default(), spent: Mutex::default() })
@@ -63,11 +64,11 @@ impl<Stage, Items> Runner<Stage, Items> {
         self.adapter().map(|a| format!("{} ({}, {})", a.name, a.backend, a.driver))
     }
 
-    /// Builds pipelines now rather than when they are first needed: those that are `used`, by the pass's shader and
-    /// the variant's values.
-    pub(crate) fn warm_up(&self, used: impl Fn(&Shader, &[u32]) -> bool) -> Result<(), GpuError> {
+    /// Builds pipelines now rather than when they are first needed: all, or of passes with variants those
+    /// that are `used`, by the pass's shader and the variant's value.
+    pub(crate) fn warm_up(&self, used: impl Fn(&Shader, u32) -> bool) -> Result<(), GpuError> {
         self.passes.iter().try_for_each(|ready| {
-            let used = |values: &[u32]| used(ready.pipeline.shader, values);
+            let used = |value| used(ready.pipeline.shader, value);
             ready.pipeline.warm_up(&self.context.device, used)
         })
     }

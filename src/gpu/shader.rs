@@ -41,28 +41,14 @@ pub struct Shader {
     pub preamble: fn() -> String,
     /// Its buffers in the order of their binding numbers.
     pub bindings: &'static [Binding],
-    /// Invocations per workgroup.
+    /// Invocations per workgroup. A device with smaller ones does not get the pass.
     pub workgroup_size: u32,
     /// Values of pipeline constants (`override` in WGSL), the same in every pipeline of the pass.
     pub constants: &'static [(&'static str, f64)],
-    /// Pipeline constants of which the pass is built with several values.
-    pub variants: Variants,
+    /// A pipeline constant and the values that the pass is built for, where there is one.
+    pub variants: Option<(&'static str, &'static [u32])>,
     /// Whether it needs subgroups: a device without them does not get the pass.
     pub subgroups: bool,
-}
-
-/// Pipeline constants, and the values with which a pass is built, a pipeline for each of them.
-#[derive(Debug, Clone, Copy)]
-pub struct Variants {
-    /// The constants' names.
-    pub names: &'static [&'static str],
-    /// Values of all of them, variant by variant.
-    pub values: &'static [&'static [u32]],
-}
-
-impl Variants {
-    /// One variant without constants.
-    pub(crate) const ONE: Self = Self { names: &[], values: &[&[]] };
 }
 
 /// A row of a pass table.
@@ -125,7 +111,7 @@ impl Shader {
         bindings: &[],
         workgroup_size: 1,
         constants: &[],
-        variants: Variants::ONE,
+        variants: None,
         subgroups: false,
     };
 
@@ -196,28 +182,24 @@ impl Pipeline {
                 bind_group_layouts: &[Some(&layout)],
                 immediate_size: 0,
             });
-            let variants = shader.variants.values.iter().map(|_| OnceLock::new()).collect();
+            let count = shader.variants.map_or(1, |(_, values)| values.len());
+            let variants = (0..count).map(|_| OnceLock::new()).collect();
             Self { shader, layout, variants, module, pipeline_layout }
         })
     }
 
-    /// The pipeline itself: the only one, or that of the variant with these values.
-    pub(crate) fn get(
-        &self,
-        device: &wgpu::Device,
-        values: &[u32],
-    ) -> Result<&wgpu::ComputePipeline, GpuError> {
-        let Variants { names, values: built } = self.shader.variants;
-        let Some(variant) = built.iter().position(|&of_variant| of_variant == values) else {
-            let reason = format!("not built with {names:?} = {values:?}");
-            return Err(GpuError::Refused { what: self.shader.name.into(), reason });
-        };
+    /// The pipeline itself; `value` is that of the shader's variants, where it has any.
+    pub(crate) fn get(&self, device: &wgpu::Device, value: u32) -> Result<&wgpu::ComputePipeline, GpuError> {
+        let mut constants = self.shader.constants.to_vec();
+        let mut variant = 0;
+        if let Some((name, values)) = self.shader.variants {
+            variant = values.iter().position(|&v| v == value).unwrap_or(0);
+            constants.push((name, f64::from(values[variant])));
+        }
         let cell = &self.variants[variant];
         if let Some(pipeline) = cell.get() {
             return Ok(pipeline);
         }
-        let of_variant = names.iter().zip(values).map(|(&name, &value)| (name, f64::from(value)));
-        let constants: Vec<_> = self.shader.constants.iter().copied().chain(of_variant).collect();
         let pipeline = checked(device, self.shader.name, || {
             device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(self.shader.name),
@@ -235,14 +217,14 @@ impl Pipeline {
         Ok(cell.get_or_init(|| pipeline))
     }
 
-    /// Builds every variant whose values are `used`.
-    pub(crate) fn warm_up(
-        &self,
-        device: &wgpu::Device,
-        used: impl Fn(&[u32]) -> bool,
-    ) -> Result<(), GpuError> {
-        let mut variants = self.shader.variants.values.iter().filter(|values| used(values));
-        variants.try_for_each(|values| self.get(device, values).map(|_| ()))
+    /// Builds every variant whose value is among those that are `used`.
+    pub(crate) fn warm_up(&self, device: &wgpu::Device, used: impl Fn(u32) -> bool) -> Result<(), GpuError> {
+        for &value in self.shader.variants.map_or(&[0][..], |(_, values)| values) {
+            if self.shader.variants.is_none() || used(value) {
+                self.get(device, value)?;
+            }
+        }
+        Ok(())
     }
 
     /// Binds buffers to the pass, each found by the buffer's name.

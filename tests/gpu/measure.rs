@@ -135,7 +135,8 @@ impl Faces {
         ];
         inputs.push(("listed_faces", bytemuck::cast_slice(&listed)));
         // The keys that `distance` writes are what measure_long would write itself.
-        let keys = (pass == "measure_long_keyed").then(|| {
+        let is_keyed = ["measure_long_keyed", "measure_long_wide"].contains(&pass);
+        let keys = is_keyed.then(|| {
             let [keys] = device.run(&workspace, "distance", &inputs[..3], ["keys"]);
             keys.words
         });
@@ -204,14 +205,18 @@ type Way = (&'static Device, &'static str, Vec<(u32, u32)>);
 
 fn ways() -> Vec<Way> {
     let mut ways = Vec::new();
-    let all = || LANES.into_iter().zip(MEANS);
+    // Where the device is no program, another pass measures the faces that one invocation could.
+    let all = |device: &Device| {
+        let few = u32::from(!device.exact);
+        LANES.into_iter().zip(MEANS).filter(move |(lanes, _)| *lanes > few)
+    };
     if let Some(device) = device()
         && let Some(width) = device.engine.subgroup_width()
     {
-        ways.push((device, "measure_short", all().filter(|(lanes, _)| *lanes <= width).collect()));
+        ways.push((device, "measure_short", all(device).filter(|(lanes, _)| *lanes <= width).collect()));
     }
     if let Some(device) = device_without_subgroups() {
-        ways.push((device, "measure_short_shared", all().collect()));
+        ways.push((device, "measure_short_shared", all(device).collect()));
     }
     ways
 }
@@ -250,6 +255,59 @@ fn measure_short_takes_blocks_of_faces_that_do_not_fill_a_workgroup() {
     }
 }
 
+/// Faces with very few points on a device that is not known to be a program: of every size that an invocation or a team
+/// measures and one more, in workgroups that they do not fill, with more points than a workgroup shares out at a time
+/// and more faces for teams than there are at a time.
+#[test]
+fn measure_few_is_its_twin() {
+    let Some(device) = device_of_a_host() else { return };
+    let boundaries = [0, 1, 2, 3, 7, 8, 9, 15, 16, 17, 31, 33, 48, 63, 64, 65];
+    for (faces, others, place, few) in [
+        (128, [0, 1], 0, 0),
+        (127, [1, 1], 100, 0),
+        (300, [0, 5], 0, 0),
+        (300, [0, 5], 100, 12),
+        (400, [1, 0], 100, 20),
+    ] {
+        let mut sizes: Vec<u32> = (0..faces).map(|face| others[face % 2]).collect();
+        sizes[place..place + boundaries.len()].copy_from_slice(&boundaries);
+        sizes[20..20 + few].fill(11);
+        let mean = f64::from(sizes.iter().sum::<u32>()) / faces as f64;
+        assert!(mean + 2.0 * mean.sqrt() <= 8.0, "{mean} points a face");
+        for pattern in PATTERNS {
+            for (outliers, statistic) in all_rules() {
+                let settings = Settings::default()
+                    .with_nodes(faces as u32)
+                    .with_levels(1)
+                    .with_outliers(outliers)
+                    .with_statistic(statistic);
+                Faces::new(&settings, &sizes, pattern).agrees(device, &settings, "measure_few");
+            }
+        }
+    }
+}
+
+/// Whole fits whose faces have so few points on average.
+#[test]
+fn faces_of_few_points_are_measured_one_by_one_and_in_teams() {
+    let Some(device) = device_of_a_host() else { return };
+    for points in [1_000, 9_000] {
+        for (outliers, statistic) in all_rules() {
+            let settings = Settings::default()
+                .with_nodes(64)
+                .with_levels(48)
+                .with_outliers(outliers)
+                .with_statistic(statistic);
+            let section = wall(points, 251);
+            let workspace = device.engine.prepare(points as u32, RADIUS_MM, &settings).unwrap();
+            assert_eq!(workspace.parameters().max_short, 64);
+            let found = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
+            let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
+            assert_agree(device, &found, &expected, &section, &settings);
+        }
+    }
+}
+
 #[test]
 fn measure_long_is_its_twins() {
     let Some(device) = device() else { return };
@@ -265,6 +323,9 @@ fn measure_long_is_its_twins() {
             assert_eq!(workspace.parameters().max_short, 0);
             faces.agrees(device, &settings, "measure_long");
             faces.agrees(device, &settings, "measure_long_keyed");
+            if device.engine.device().limits().max_compute_invocations_per_workgroup >= 1024 {
+                faces.agrees(device, &settings, "measure_long_wide");
+            }
         }
     }
 }
@@ -291,27 +352,28 @@ fn with_others(mut sizes: Vec<u32>, mean: u32) -> (Settings, Vec<u32>) {
     (Settings::default().with_nodes(20).with_levels(15), sizes)
 }
 
-/// The lanes of a face of middle size: those of a short one where there are none.
-fn middle_lanes(device: &Device, lanes: u32) -> u32 {
-    (8 * lanes).min(device.engine.subgroup_width().unwrap_or(32)).min(32)
+/// The lanes of a face of middle size, where there is one.
+fn middle_lanes(lanes: u32) -> Option<u32> {
+    (lanes < 32).then_some((8 * lanes).min(32))
 }
 
 #[test]
-fn faces_of_middle_size_are_the_twin_s_with_every_number_of_lanes() {
-    for (device, pass, lanes_and_means) in ways() {
+fn measure_middle_is_its_twin_with_every_number_of_lanes() {
+    for (device, _, lanes_and_means) in ways() {
         for (lanes, mean) in lanes_and_means {
-            let middle = middle_lanes(device, lanes);
-            if middle == lanes {
-                continue;
-            }
-            let pass = pass.replace("short", "middle");
+            let Some(middle) = middle_lanes(lanes) else { continue };
+            let width = device.engine.subgroup_width();
+            let pass = match width.is_some_and(|width| middle <= width) {
+                true => "measure_middle",
+                false => "measure_middle_shared",
+            };
             let [least, most] = [8 * lanes + 1, 8 * middle];
             let sizes = vec![least, least - 1, least + 1, most - 1, most, most + 1];
             let (settings, sizes) = with_others(sizes, mean);
             for pattern in PATTERNS {
                 for (outliers, statistic) in all_rules() {
                     let settings = settings.clone().with_outliers(outliers).with_statistic(statistic);
-                    Faces::new(&settings, &sizes, pattern).agrees(device, &settings, &pass);
+                    Faces::new(&settings, &sizes, pattern).agrees(device, &settings, pass);
                 }
             }
         }
@@ -322,7 +384,7 @@ fn faces_of_middle_size_are_the_twin_s_with_every_number_of_lanes() {
 fn measure_long_begins_right_above_each_capacity() {
     for (device, _, lanes_and_means) in ways() {
         for (lanes, mean) in lanes_and_means {
-            let capacity = 8 * middle_lanes(device, lanes);
+            let capacity = 8 * middle_lanes(lanes).unwrap_or(lanes);
             let (settings, sizes) =
                 with_others(vec![capacity + 1, capacity, capacity + 2, 2 * capacity], mean);
             let faces = Faces::new(&settings, &sizes, Pattern::Random);
@@ -336,13 +398,16 @@ fn measure_long_begins_right_above_each_capacity() {
 /// More faces of middle size, of several cylinders, than workgroups have room for at a time.
 #[test]
 fn many_faces_of_middle_size_are_all_measured() {
-    for (device, pass, _) in ways() {
+    for (device, _, _) in ways() {
         let settings = Settings::default().with_nodes(100).with_levels(90);
         let sizes: Vec<u32> = (0..9000).map(|face| if face % 3 == 0 { 9 + face % 50 } else { 0 }).collect();
         let mean = sizes.iter().sum::<u32>() / 9000;
         assert!(mean > 8);
-        let pass = pass.replace("short", "middle");
-        Faces::new(&settings, &sizes, Pattern::Random).agrees(device, &settings, &pass);
+        let pass = match device.engine.subgroup_width().is_some_and(|width| width >= 32) {
+            true => "measure_middle",
+            false => "measure_middle_shared",
+        };
+        Faces::new(&settings, &sizes, Pattern::Random).agrees(device, &settings, pass);
     }
 }
 

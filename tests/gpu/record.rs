@@ -118,13 +118,11 @@ fn passes_are_timed_one_by_one_in_their_order() {
     assert_eq!(found, device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube.radii_mm);
     // The points of a single tube need no projection, and few faces no sums over blocks of them.
     let (short, middle) = match device.engine.subgroup_width() {
-        Some(32..) => ("measure_short", Some("measure_middle")),
-        // Eight lanes a short face are all that a subgroup has.
-        Some(8..) => ("measure_short", None),
-        _ => ("measure_short_shared", Some("measure_middle_shared")),
+        Some(32..) => ("measure_short", "measure_middle"),
+        Some(8..) => ("measure_short", "measure_middle_shared"),
+        _ => ("measure_short_shared", "measure_middle_shared"),
     };
-    let iterated: Vec<_> =
-        [Some(short), middle, Some("measure_long"), Some("update")].into_iter().flatten().collect();
+    let iterated = [short, middle, "measure_long", "update"];
     assert_eq!(
         *timed.borrow(),
         [&["bin_few", "scan_downsweep", "scatter"][..], &iterated, &iterated, &["support"]].concat()

@@ -66,7 +66,7 @@ impl Device {
             "source" => from.as_entire_binding(),
             _ => to.as_entire_binding(),
         })?;
-        let compute = pipeline.get(device, &[])?;
+        let compute = pipeline.get(device, 0)?;
         let [x, y] = dispatch_size((size / 16).div_ceil(u64::from(COPY.workgroup_size)) as u32);
         let per_second = |times: Times| 2.0 * (COPIES * size) as f64 / (times.min_ms * 1e-3);
         let by_command = Times::measure_warm(5, || {
@@ -212,14 +212,14 @@ impl Work {
             "scan_downsweep" => (8 * faces, 0),
             "scatter" => ((12 + 8 + 16) * points + 4 * faces, 0),
             // The support is written in one iteration only.
-            "measure_short" | "measure_short_shared" if short > 0 => {
+            "measure_few" | "measure_short" | "measure_short_shared" if short > 0 => {
                 (iterations * (16 * short + (4 + 8) * faces + 4 * nodes) + 16 * faces, flops(short))
             }
             "measure_middle" | "measure_middle_shared" => (iterations * 16 * middle, flops(middle)),
             // Keys are written once, and read in each of four rounds and for the sums.
             "measure_long" => (iterations * (16 + 4 + 6 * 4) * long, flops(long)),
             "distance" => (iterations * (16 + 4) * points, flops(points)),
-            "measure_long_keyed" => (iterations * 6 * 4 * long, 0),
+            "measure_long_keyed" | "measure_long_wide" => (iterations * 6 * 4 * long, 0),
             "update" => (iterations * (8 * faces + 8 * nodes), 0),
             "support" => (16 * faces + 8 * nodes, 0),
             _ => (0, 0),

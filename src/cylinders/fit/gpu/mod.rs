@@ -29,7 +29,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
-use workspace::{Classes, Plan, Points};
+use workspace::{Plan, Points};
 
 /// A pass made ready on a device.
 type ReadyPass = crate::gpu::ReadyPass<Stage, Items>;
@@ -121,9 +121,8 @@ impl GpuEngine {
     /// [`Error::Gpu`](crate::Error::Gpu) where the device refuses one.
     pub fn warm_up(&self) -> Result<()> {
         let width = self.subgroup_width();
-        Ok(self
-            .runner
-            .warm_up(|shader, lanes| lanes.is_empty() || Classes::uses(width, shader.subgroups, lanes))?)
+        let enough = |lanes: u32| width.is_some_and(|width| lanes <= width);
+        Ok(self.runner.warm_up(|shader, lanes| shader.subgroups == enough(lanes))?)
     }
 
     /// Device memory for a tube of that radius and that many points, which the host writes to

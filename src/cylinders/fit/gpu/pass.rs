@@ -1,7 +1,7 @@
 //! The pass table: the bindings, the workgroup size and the number of workgroups of every pass.
 
+use crate::gpu::constants;
 use crate::gpu::shader::shader;
-use crate::gpu::{Variants, constants};
 use crate::numerics::ANGLE_COEFFICIENTS;
 
 /// When a pass runs.
@@ -34,11 +34,13 @@ pub enum Items {
     Spine,
     /// One workgroup per 1024 faces of the batch.
     Blocks,
+    /// One invocation per face, cylinder by cylinder, where faces have very few points.
+    FewFaces,
     /// [`LANES`] invocations per face, cylinder by cylinder, with subgroups.
     ShortFaces,
     /// The same without subgroups.
     ShortFacesShared,
-    /// Workgroups that take the faces of middle size in turn, with subgroups.
+    /// Workgroups that take the faces of middle size in turn, [`LANES`] invocations per face, with subgroups.
     MiddleFaces,
     /// The same without subgroups.
     MiddleFacesShared,
@@ -49,6 +51,8 @@ pub enum Items {
     Points,
     /// Workgroups that take the long faces in turn after `distance`.
     KeyedFaces,
+    /// The same, four times as large, where the device has such workgroups.
+    KeyedFacesWide,
     /// One invocation per node, cylinder by cylinder.
     Nodes,
     /// Workgroups that take the nodes in turn, cylinder by cylinder.
@@ -65,6 +69,7 @@ const SCAN: &str = include_str!("../../../../shaders/common/scan.wgsl");
 const PARAMETERS: &str = include_str!("../../../../shaders/cylinders/common/parameters.wgsl");
 const DISTANCE: &str = include_str!("../../../../shaders/cylinders/common/distance.wgsl");
 const FILL: &str = include_str!("../../../../shaders/cylinders/common/fill.wgsl");
+const EIGHT_KEYS: &str = include_str!("../../../../shaders/cylinders/common/eight_keys.wgsl");
 const MEASURE_SHORT: &str = include_str!("../../../../shaders/cylinders/common/measure_short.wgsl");
 const FILTER: &str = include_str!("../../../../shaders/cylinders/common/filter.wgsl");
 
@@ -88,7 +93,7 @@ macro_rules! pass {
 }
 
 /// Every pass, in the order in which they run.
-pub static PASSES: [Pass; 16] = [
+pub static PASSES: [Pass; 18] = [
     pass!("project", Project, Pairs, 64, [DISPATCH, ANGLE], [
         "cylinders": Read, "points": Read, "pairs": Read, "section": Write, "owners": Write, "gated": Write,
     ], { preamble: angle_constants }),
@@ -106,32 +111,36 @@ pub static PASSES: [Pass; 16] = [
     pass!("scatter", Group, Slots, 256, [DISPATCH], [
         "section": Read, "places": Read, "offsets": Read, "grouped": Write,
     ]),
-    pass!("measure_short", Iterate, ShortFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT], [
+    pass!("measure_few", Iterate, FewFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, EIGHT_KEYS], [
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
+        "triangle_support": Write,
+    ]),
+    pass!("measure_short", Iterate, ShortFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, EIGHT_KEYS, MEASURE_SHORT], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
-    ], { constants: &[("MIDDLE", 0.0)], variants: LANE_VARIANTS, subgroups: true }),
+    ], { constants: &[("MIDDLE", 0.0)], variants: Some(("LANES", &LANES)), subgroups: true }),
     pass!("measure_short_shared", Iterate, ShortFacesShared, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
+        DISPATCH, DISTANCE, SCALAR, FILTER, EIGHT_KEYS, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
-    ], { constants: &[("MIDDLE", 0.0)], variants: LANE_VARIANTS }),
+    ], { constants: &[("MIDDLE", 0.0)], variants: Some(("LANES", &LANES)) }),
     pass!("measure_middle" in "measure_short", Iterate, MiddleFaces, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
+        DISPATCH, DISTANCE, SCALAR, FILTER, EIGHT_KEYS, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
-    ], { constants: &[("MIDDLE", 1.0)], variants: LANE_VARIANTS, subgroups: true }),
+    ], { constants: &[("MIDDLE", 1.0)], variants: Some(("LANES", &MIDDLE_LANES)), subgroups: true }),
     pass!("measure_middle_shared" in "measure_short_shared", Iterate, MiddleFacesShared, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, MEASURE_SHORT
+        DISPATCH, DISTANCE, SCALAR, FILTER, EIGHT_KEYS, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
-    ], { constants: &[("MIDDLE", 1.0)], variants: LANE_VARIANTS }),
+    ], { constants: &[("MIDDLE", 1.0)], variants: Some(("LANES", &MIDDLE_LANES)) }),
     pass!("measure_long", Iterate, LongFaces, 256, [DISPATCH, DISTANCE, SCALAR, SCAN, FILTER], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Write, "keys": Write,
-    ], { constants: &[("KEYED", 0.0)] }),
+    ], { constants: &[("KEYED", 0.0), ("THREADS", 256.0)] }),
     pass!("distance", Iterate, Points, 256, [DISPATCH, DISTANCE, FILTER], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "keys": Write,
     ]),
@@ -140,7 +149,13 @@ pub static PASSES: [Pass; 16] = [
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Write, "keys": Write,
-    ], { constants: &[("KEYED", 1.0)] }),
+    ], { constants: &[("KEYED", 1.0), ("THREADS", 256.0)] }),
+    pass!("measure_long_wide" in "measure_long", Iterate, KeyedFacesWide, 1024, [
+        DISPATCH, DISTANCE, SCALAR, SCAN, FILTER
+    ], [
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
+        "triangle_support": Write, "listed_faces": Write, "keys": Write,
+    ], { constants: &[("KEYED", 1.0), ("THREADS", 1024.0)] }),
     pass!("update", Iterate, NodesInTurn, 256, [DISPATCH, SCALAR, FILL], [
         "cylinders": Read, "triangle_values": Read, "radii": Write, "travels": Write,
     ]),
@@ -149,31 +164,12 @@ pub static PASSES: [Pass; 16] = [
     ]),
 ];
 
-/// Numbers of invocations per short face. Each has eight of the face's points.
+/// Numbers of invocations per short face that `measure_short` is built for. Each has eight of the face's
+/// points.
 pub const LANES: [u32; 6] = [1, 2, 4, 8, 16, 32];
 
-/// What `measure_short` is built for: invocations per short face, and per face of middle size, for which it takes up to
-/// eight times as many as one subgroup or workgroup can have. Where that is no more, there are none of middle size.
-const LANE_VARIANTS: Variants = Variants {
-    names: &["LANES", "MIDDLE_LANES"],
-    values: &[
-        &[1, 4],
-        &[1, 8],
-        &[2, 4],
-        &[2, 8],
-        &[2, 16],
-        &[4, 4],
-        &[4, 8],
-        &[4, 16],
-        &[4, 32],
-        &[8, 8],
-        &[8, 16],
-        &[8, 32],
-        &[16, 16],
-        &[16, 32],
-        &[32, 32],
-    ],
-};
+/// The same for `measure_middle`.
+const MIDDLE_LANES: [u32; 3] = [8, 16, 32];
 
 /// The constants of the arc tangent.
 fn angle_constants() -> String {

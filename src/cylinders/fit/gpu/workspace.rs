@@ -26,6 +26,8 @@ pub struct FitWorkspace {
     classes: Classes,
     /// Whether faces have so many points that several workgroups share the distances of each.
     shared_faces: bool,
+    /// Whether the device has workgroups of [`WIDE`] invocations.
+    wide: bool,
     middle_groups: u32,
     long_groups: u32,
     buffers: Buffers,
@@ -65,14 +67,14 @@ impl Plan {
             Points::Section { count } => (u64::from(*count), 0, None),
         };
         let width = context.subgroup_width().filter(|_| subgroups);
-        let classes = Classes::new(slots, faces, width);
+        let classes = Classes::new(slots, faces, width, context.is_software());
         // Slots are numbered in u32, whatever the device could hold.
         let slot_count = u32::try_from(slots).map_err(|_| GpuError::TooLarge {
             name: "section".into(),
             needed: 12 * slots,
             allowed: 12 * u64::from(u32::MAX),
         })?;
-        let mut parameters = FitParameters::new(settings, cylinders, slot_count, pairs, classes.lanes);
+        let mut parameters = FitParameters::new(settings, cylinders, slot_count, pairs, classes.lanes());
         // One window where the points fit a cache anyhow, or the device is a program that has no more than
         // the CPU's.
         if slot_count > WINDOW && !context.is_software() {
@@ -83,7 +85,10 @@ impl Plan {
         let travel_stride = (8 * u64::from(cylinders)).next_multiple_of(alignment);
         let sizes = sizes(&parameters, point_count, settings.iterations, history, travel_stride);
         // A program on the CPU has no idle processors that could share them.
-        let shared_faces = classes.lanes[0] == 0 && slots >= SHARED_FACE * faces && !context.is_software();
+        let shared_faces = !classes.few
+            && classes.short.lanes == 0
+            && slots >= SHARED_FACE * faces
+            && !context.is_software();
         Ok(Self { parameters, classes, shared_faces, travel_stride, sizes })
     }
 }
@@ -177,41 +182,54 @@ fn most_above(parameters: &FitParameters, points: u32) -> u64 {
     faces.min(u64::from(parameters.slots) / (u64::from(points) + 1))
 }
 
-/// How the faces below the long ones are measured.
+/// How the faces of a class are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Classes {
-    /// Invocations per short face and per face of middle size, of which there are few; each has eight of its points.
-    /// The same number where there are no faces of middle size, 0 where there are no short ones either.
-    lanes: [u32; 2],
+struct Class {
+    /// Invocations per face, each with eight of its points; 0 where there is no such class.
+    lanes: u32,
     /// Whether they exchange values in subgroups.
     subgroups: bool,
 }
+
+/// The classes of faces below the long ones, by their number of points.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Classes {
+    /// Whether faces have so few points on average that an invocation measures one, and a team one with up to 64.
+    /// Then there are no short ones and none of middle size.
+    few: bool,
+    short: Class,
+    /// Those of which there are few.
+    middle: Class,
+}
+
+/// Invocations that would measure as many points as a team does where faces have few.
+const LANES_OF_TEAM: u32 = 8;
 
 impl Classes {
     /// The classes for a number of points and faces. Points are spread over the faces about evenly more often
     /// than not: two standard deviations of such a spread still fit a short face, and more faces would be listed
     /// if it were less. `width` is that of the device's subgroups.
-    fn new(slots: u64, faces: u64, width: Option<u32>) -> Self {
+    fn new(slots: u64, faces: u64, width: Option<u32>, software: bool) -> Self {
         let mean = slots as f64 / faces.max(1) as f64;
         let most = mean + 2.0 * mean.sqrt();
-        Self::of(LANES.into_iter().find(|&lanes| f64::from(8 * lanes) >= most).unwrap_or(0), width)
+        let short = LANES.into_iter().find(|&lanes| f64::from(8 * lanes) >= most).unwrap_or(0);
+        let middle = match short {
+            0 | 32 => 0,
+            lanes => (8 * lanes).min(32),
+        };
+        let class = |lanes| Class { lanes, subgroups: width.is_some_and(|width| lanes <= width) };
+        // On a software device the barriers cost more than the distances that they save.
+        match short == 1 && !software {
+            true => Self { few: true, short: class(0), middle: class(0) },
+            false => Self { few: false, short: class(short), middle: class(middle) },
+        }
     }
 
-    /// The classes with so many invocations per short face.
-    fn of(short: u32, width: Option<u32>) -> Self {
-        // A face of middle size is measured in the way of the short ones.
-        let subgroups = width.is_some_and(|width| short <= width);
-        let widest = width.filter(|_| subgroups).map_or(32, |width| width.min(32));
-        Self { lanes: [short, (8 * short).min(widest)], subgroups }
-    }
-
-    /// Whether some fit on a device with subgroups of that width uses the pipeline for these lanes, with subgroups
-    /// or without.
-    pub(super) fn uses(width: Option<u32>, subgroups: bool, lanes: &[u32]) -> bool {
-        LANES
-            .into_iter()
-            .map(|short| Self::of(short, width))
-            .any(|of| of.subgroups == subgroups && of.lanes == lanes)
+    fn lanes(&self) -> [u32; 2] {
+        match self.few {
+            true => [LANES_OF_TEAM; 2],
+            false => [self.short.lanes, self.middle.lanes],
+        }
     }
 }
 
@@ -224,6 +242,9 @@ const WINDOW: u32 = 1 << 22;
 
 /// Points per face on average from which several workgroups share a face's distances.
 const SHARED_FACE: u64 = 2048;
+
+/// Invocations of a workgroup of `measure_long_wide`.
+const WIDE: u32 = 1024;
 
 /// Most windows: each of them reads all places.
 const MOST_WINDOWS: u32 = 64;
@@ -269,15 +290,16 @@ impl FitWorkspace {
                 (buffers, bind_groups)
             }
         };
-        let middle_blocks = match parameters.max_middle > parameters.max_short {
-            true => most_above(&parameters, parameters.max_short).div_ceil(u64::from(128 / classes.lanes[1])),
-            false => 0,
+        let middle_blocks = match classes.middle.lanes {
+            0 => 0,
+            lanes => most_above(&parameters, parameters.max_short).div_ceil(u64::from(128 / lanes)),
         };
         let workspace = Self {
             parameters,
             iterations,
             classes,
             shared_faces,
+            wide: context.has_workgroups_of(WIDE),
             middle_groups: groups_in_turn(context, middle_blocks) as u32,
             long_groups: groups_in_turn(context, most_above(&parameters, parameters.max_middle)) as u32,
             buffers,
@@ -363,11 +385,12 @@ impl FitWorkspace {
             }
             Items::SeveralBlocks | Items::Blocks => (blocks, 1),
             Items::Spine => (1, 1),
+            Items::FewFaces => (parameters.faces.div_ceil(size), parameters.cylinders),
             Items::ShortFaces | Items::ShortFacesShared => {
-                (parameters.faces.div_ceil(size / self.classes.lanes[0].max(1)), parameters.cylinders)
+                (parameters.faces.div_ceil(size / self.classes.short.lanes.max(1)), parameters.cylinders)
             }
             Items::MiddleFaces | Items::MiddleFacesShared => (self.middle_groups, 1),
-            Items::LongFaces | Items::KeyedFaces => (self.long_groups, 1),
+            Items::LongFaces | Items::KeyedFaces | Items::KeyedFacesWide => (self.long_groups, 1),
             Items::Points => (parameters.slots.div_ceil(size), 1),
             Items::Nodes => (parameters.node_count.div_ceil(size), parameters.cylinders),
             Items::NodesInTurn => {
@@ -388,11 +411,14 @@ impl FitWorkspace {
             Items::SeveralBlocks | Items::Spine | Items::Tiles => several_blocks,
             Items::FewTiles => !several_blocks,
             Items::LongFaces => !self.shared_faces,
-            Items::Points | Items::KeyedFaces => self.shared_faces,
-            Items::ShortFaces => self.classes.lanes[0] > 0 && self.classes.subgroups,
-            Items::ShortFacesShared => self.classes.lanes[0] > 0 && !self.classes.subgroups,
-            Items::MiddleFaces => self.classes.subgroups,
-            Items::MiddleFacesShared => !self.classes.subgroups,
+            Items::Points => self.shared_faces,
+            Items::KeyedFaces => self.shared_faces && !self.wide,
+            Items::KeyedFacesWide => self.shared_faces && self.wide,
+            Items::FewFaces => self.classes.few,
+            Items::ShortFaces => self.classes.short.lanes > 0 && self.classes.short.subgroups,
+            Items::ShortFacesShared => self.classes.short.lanes > 0 && !self.classes.short.subgroups,
+            Items::MiddleFaces => self.classes.middle.subgroups,
+            Items::MiddleFacesShared => !self.classes.middle.subgroups,
             _ => true,
         };
         work && self.groups(pass)[0] > 0
@@ -416,14 +442,11 @@ impl FitWorkspace {
         if x > 0
             && let Some(bind_group) = bind_groups.get(place).or(bind_groups.first())
         {
-            let lanes = match ready.pass.items {
-                Items::ShortFaces
-                | Items::ShortFacesShared
-                | Items::MiddleFaces
-                | Items::MiddleFacesShared => &self.classes.lanes[..],
-                _ => &[],
+            let class = match ready.pass.items {
+                Items::MiddleFaces | Items::MiddleFacesShared => self.classes.middle,
+                _ => self.classes.short,
             };
-            compute.set_pipeline(ready.pipeline.get(&context.device, lanes)?);
+            compute.set_pipeline(ready.pipeline.get(&context.device, class.lanes)?);
             compute.set_bind_group(0, bind_group, &[]);
             compute.dispatch_workgroups(x, y, z);
         }
@@ -469,7 +492,7 @@ impl FitWorkspace {
         }
         if done.iterations() == 0 {
             // Elsewhere every triangle's is written.
-            if self.classes.lanes[0] == 0 || self.iterations == 0 {
+            if !(self.classes.few || self.classes.short.lanes > 0) || self.iterations == 0 {
                 encoder.clear_buffer(&self.buffers["triangle_values"], 0, Some(8 * all_faces));
                 encoder.clear_buffer(&self.buffers["triangle_support"], 0, Some(16 * all_faces));
             }

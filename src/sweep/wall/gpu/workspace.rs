@@ -253,7 +253,7 @@ impl WallWorkspace {
         compute: &mut wgpu::ComputePass,
     ) -> Result<(), GpuError> {
         let Pass { shader, items, .. } = ready.pass;
-        compute.set_pipeline(ready.pipeline.get(&context.device, &[])?);
+        compute.set_pipeline(ready.pipeline.get(&context.device, 0)?);
         let mut dispatch = |bind_group: &wgpu::BindGroup, count: u32| {
             let [x, y] = dispatch_size(count);
             if count > 0 {
