@@ -255,13 +255,12 @@ fn measure_short_takes_blocks_of_faces_that_do_not_fill_a_workgroup() {
     }
 }
 
-/// Faces with very few points on a device that is not known to be a program: of every size that an invocation or a team
-/// measures and one more, in workgroups that they do not fill, with more points than a workgroup shares out at a time
-/// and more faces for teams than there are at a time.
+/// Faces with very few points on a device that is not known to be a program: about every boundary of what an invocation
+/// measures, in workgroups that they do not fill, with more points than a workgroup shares out at a time.
 #[test]
 fn measure_few_is_its_twin() {
     let Some(device) = device_of_a_host() else { return };
-    let boundaries = [0, 1, 2, 3, 7, 8, 9, 15, 16, 17, 31, 33, 48, 63, 64, 65];
+    let boundaries = [0, 1, 2, 3, 7, 8, 9, 10, 14, 15, 16, 17, 33, 64, 65];
     for (faces, others, place, few) in [
         (128, [0, 1], 0, 0),
         (127, [1, 1], 100, 0),
@@ -281,7 +280,14 @@ fn measure_few_is_its_twin() {
                     .with_levels(1)
                     .with_outliers(outliers)
                     .with_statistic(statistic);
-                Faces::new(&settings, &sizes, pattern).agrees(device, &settings, "measure_few");
+                let faces = Faces::new(&settings, &sizes, pattern);
+                faces.agrees(device, &settings, "measure_few");
+                let middle = match device.engine.subgroup_width().is_some_and(|width| width >= 8) {
+                    true => "measure_middle",
+                    false => "measure_middle_shared",
+                };
+                faces.agrees(device, &settings, middle);
+                faces.agrees(device, &settings, "measure_long");
             }
         }
     }
@@ -289,7 +295,7 @@ fn measure_few_is_its_twin() {
 
 /// Whole fits whose faces have so few points on average.
 #[test]
-fn faces_of_few_points_are_measured_one_by_one_and_in_teams() {
+fn faces_of_few_points_are_the_cpu_s() {
     let Some(device) = device_of_a_host() else { return };
     for points in [1_000, 9_000] {
         for (outliers, statistic) in all_rules() {
@@ -300,7 +306,7 @@ fn faces_of_few_points_are_measured_one_by_one_and_in_teams() {
                 .with_statistic(statistic);
             let section = wall(points, 251);
             let workspace = device.engine.prepare(points as u32, RADIUS_MM, &settings).unwrap();
-            assert_eq!(workspace.parameters().max_short, 64);
+            assert_eq!(workspace.parameters().max_short, 16);
             let found = device.engine.fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
             let expected = CpuEngine::<f32>::new().fit_section(&section, RADIUS_MM, &settings).unwrap().tube;
             assert_agree(device, &found, &expected, &section, &settings);

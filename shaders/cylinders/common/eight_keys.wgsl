@@ -67,6 +67,21 @@ fn sort_own(k: Keys) -> Keys {
     return Keys(vec4u(low.x, e.x, f.x, e.y), vec4u(f.y, e.z, f.z, high.w));
 }
 
+// Sorts the keys of each invocation where they rise and then fall.
+fn merge_own(k: Keys) -> Keys {
+    let low = min(k.a, k.b);
+    let high = max(k.a, k.b);
+    let p = vec4u(low.xy, high.xy);
+    let q = vec4u(low.zw, high.zw);
+    let m = min(p, q);
+    let n = max(p, q);
+    let r = vec4u(m.x, n.x, m.z, n.z);
+    let s = vec4u(m.y, n.y, m.w, n.w);
+    let l = min(r, s);
+    let h = max(r, s);
+    return Keys(vec4u(l.x, h.x, l.y, h.y), vec4u(l.z, h.z, l.w, h.w));
+}
+
 // The key of that rank among the sorted keys of an invocation.
 fn own_key_at(k: Keys, rank: u32) -> u32 {
     let four = select(k.a, k.b, (rank & 4u) != 0u);
@@ -122,10 +137,9 @@ fn add(sums: OwnSums, key: u32, bottom: Bounds, top: Bounds, rule: Cylinder) -> 
     return own;
 }
 
-fn own_sums_of(k: Keys, bottom: Bounds, top: Bounds, rule: Cylinder) -> OwnSums {
-    let none = vec2u(0u);
-    var own = OwnSums(none, none, none, none, none);
-    own = add(own, k.a.x, bottom, top, rule);
+// The sums with eight more keys.
+fn add_eight(sums: OwnSums, k: Keys, bottom: Bounds, top: Bounds, rule: Cylinder) -> OwnSums {
+    var own = add(sums, k.a.x, bottom, top, rule);
     own = add(own, k.a.y, bottom, top, rule);
     own = add(own, k.a.z, bottom, top, rule);
     own = add(own, k.a.w, bottom, top, rule);

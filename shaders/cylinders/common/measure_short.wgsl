@@ -11,21 +11,6 @@ override MIDDLE: u32 = 0u;
 
 const THREADS: u32 = 128u;
 
-// Sorts the keys of each invocation where they rise and then fall.
-fn merge_own(k: Keys) -> Keys {
-    let low = min(k.a, k.b);
-    let high = max(k.a, k.b);
-    let p = vec4u(low.xy, high.xy);
-    let q = vec4u(low.zw, high.zw);
-    let m = min(p, q);
-    let n = max(p, q);
-    let r = vec4u(m.x, n.x, m.z, n.z);
-    let s = vec4u(m.y, n.y, m.w, n.w);
-    let l = min(r, s);
-    let h = max(r, s);
-    return Keys(vec4u(l.x, h.x, l.y, h.y), vec4u(l.z, h.z, l.w, h.w));
-}
-
 // The first step that merges the sorted halves of `span` invocations: the first key meets the last.
 fn meet(k: Keys, span: u32, local: u32) -> Keys {
     let a = exchange(k.b.wzyx, span - 1u, local);
@@ -101,7 +86,8 @@ fn key_at(k: Keys, rank: u32, local: u32) -> u32 {
 }
 
 fn sums_of(k: Keys, bottom: Bounds, top: Bounds, rule: Cylinder, local: u32) -> Sums {
-    let own = own_sums_of(k, bottom, top, rule);
+    let none = vec2u(0u);
+    let own = add_eight(OwnSums(none, none, none, none, none), k, bottom, top, rule);
     let sum = sum_of_face(vec4u(own.low, own.high), local);
     let size = sum_of_pairs(own.size, local);
     var low_size = vec2u(0u);

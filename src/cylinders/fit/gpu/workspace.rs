@@ -194,16 +194,15 @@ struct Class {
 /// The classes of faces below the long ones, by their number of points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Classes {
-    /// Whether faces have so few points on average that an invocation measures one, and a team one with up to 64.
-    /// Then there are no short ones and none of middle size.
+    /// Whether faces have so few points on average that an invocation measures a short one with up to 16.
     few: bool,
     short: Class,
     /// Those of which there are few.
     middle: Class,
 }
 
-/// Invocations that would measure as many points as a team does where faces have few.
-const LANES_OF_TEAM: u32 = 8;
+/// Points of the longest face that one invocation measures, in eights.
+const EIGHTS_OF_FEW: u32 = 2;
 
 impl Classes {
     /// The classes for a number of points and faces. Points are spread over the faces about evenly more often
@@ -220,14 +219,14 @@ impl Classes {
         let class = |lanes| Class { lanes, subgroups: width.is_some_and(|width| lanes <= width) };
         // On a software device the barriers cost more than the distances that they save.
         match short == 1 && !software {
-            true => Self { few: true, short: class(0), middle: class(0) },
+            true => Self { few: true, short: class(0), middle: class(middle) },
             false => Self { few: false, short: class(short), middle: class(middle) },
         }
     }
 
     fn lanes(&self) -> [u32; 2] {
         match self.few {
-            true => [LANES_OF_TEAM; 2],
+            true => [EIGHTS_OF_FEW, self.middle.lanes],
             false => [self.short.lanes, self.middle.lanes],
         }
     }
