@@ -25,25 +25,63 @@ override THREADS: u32 = 256u;
 var<workgroup> histogram: array<atomic<u32>, 2048>;
 var<workgroup> chosen: vec4u;
 var<workgroup> rest: vec4u;
-// Of bottom and top: points, those below the bounds, those kept; and the fixed-point sums of the kept
-// distances and of their sizes, or first of all distances.
-var<workgroup> number: array<atomic<u32>, 2>;
-var<workgroup> below: array<atomic<u32>, 2>;
-var<workgroup> kept: array<atomic<u32>, 2>;
-var<workgroup> sum_low: array<atomic<u32>, 4>;
-var<workgroup> sum_high: array<atomic<u32>, 4>;
+// Sums over the invocations, each in copies, so that those which add at the same time seldom add to the same word.
+var<workgroup> sums: array<atomic<u32>, 208>;
+var<workgroup> totals: array<u32, 13>;
 var<workgroup> shared_count: u32;
-// Keys that the last loop has visited.
-var<workgroup> seen: atomic<u32>;
 
-fn add_to_sum(which: u32, x: Wide) {
-    let old = atomicAdd(&sum_low[which], x.low);
+const COPIES: u32 = 16u;
+// The places of the sums. Of bottom and top: the points, later those kept; and those below the bounds.
+const KEPT: u32 = 0u;
+const BELOW: u32 = 2u;
+// Keys that the last loop has visited.
+const SEEN: u32 = 4u;
+// Low and high words of the fixed-point sums of the kept distances and of their sizes, or first of all distances.
+const LOW: u32 = 5u;
+const HIGH: u32 = 9u;
+
+fn clear_sums(local: u32) {
+    for (var i = local; i < 13u * COPIES; i += THREADS) {
+        atomicStore(&sums[i], 0u);
+    }
+    workgroupBarrier();
+}
+
+fn add_to(which: u32, x: u32, local: u32) {
+    atomicAdd(&sums[which * COPIES + local % COPIES], x);
+}
+
+fn add_to_sum(which: u32, x: Wide, local: u32) {
+    let copy = local % COPIES;
+    let old = atomicAdd(&sums[(LOW + which) * COPIES + copy], x.low);
     let carry = select(0u, 1u, old + x.low < old);
-    atomicAdd(&sum_high[which], x.high + carry);
+    atomicAdd(&sums[(HIGH + which) * COPIES + copy], x.high + carry);
+}
+
+// Adds up the copies, once all invocations have added to them. All must call it.
+fn add_up(local: u32) {
+    workgroupBarrier();
+    if (local < LOW) {
+        var total = 0u;
+        for (var copy = 0u; copy < COPIES; copy++) {
+            total += atomicLoad(&sums[local * COPIES + copy]);
+        }
+        totals[local] = total;
+    } else if (local < HIGH) {
+        let high = local + HIGH - LOW;
+        var total = Wide(0u, 0u);
+        for (var copy = 0u; copy < COPIES; copy++) {
+            let part = Wide(atomicLoad(&sums[local * COPIES + copy]), atomicLoad(&sums[high * COPIES + copy]));
+            total = add_wide(total, part);
+        }
+        totals[local] = total.low;
+        totals[high] = total.high;
+    }
+    workgroupBarrier();
 }
 
 fn sum_of(which: u32) -> Wide {
-    return Wide(atomicLoad(&sum_low[which]), atomicLoad(&sum_high[which]));
+    return Wide(totals[LOW + which], totals[HIGH + which]);
 }
 
 // Four places of an invocation from i on.
@@ -241,27 +279,16 @@ fn with_four(shares: Shares, four: vec4u, bottom: Bounds, top: Bounds, rule: Cyl
     return with_key(sum, four.w, bottom, top, rule);
 }
 
-fn add_share(half: u32, share: Share) {
-    atomicAdd(&kept[half], share.kept);
-    atomicAdd(&below[half], share.below);
-    add_to_sum(half, share.sum);
-    add_to_sum(2u + half, share.size);
+fn add_share(half: u32, share: Share, local: u32) {
+    add_to(KEPT + half, share.kept, local);
+    add_to(BELOW + half, share.below, local);
+    add_to_sum(half, share.sum, local);
+    add_to_sum(2u + half, share.size, local);
 }
 
 // Sums the distances within bounds. All invocations must call it.
 fn sum_within(begin: u32, end: u32, bottom: Bounds, top: Bounds, rule: Cylinder, local: u32) {
-    if (local < 4u) {
-        atomicStore(&sum_low[local], 0u);
-        atomicStore(&sum_high[local], 0u);
-    }
-    if (local < 2u) {
-        atomicStore(&kept[local], 0u);
-        atomicStore(&below[local], 0u);
-    }
-    if (local == 0u) {
-        atomicStore(&seen, 0u);
-    }
-    workgroupBarrier();
+    clear_sums(local);
     var shares = Shares(0u, NO_SHARE, NO_SHARE);
     for (var i = begin + local; i < end; i += 16u * THREADS) {
         let k = keys_from(i, end);
@@ -270,10 +297,10 @@ fn sum_within(begin: u32, end: u32, bottom: Bounds, top: Bounds, rule: Cylinder,
         shares = with_four(shares, k.c, bottom, top, rule);
         shares = with_four(shares, k.d, bottom, top, rule);
     }
-    atomicAdd(&seen, shares.seen);
-    add_share(0u, shares.bottom);
-    add_share(1u, shares.top);
-    workgroupBarrier();
+    add_to(SEEN, shares.seen, local);
+    add_share(0u, shares.bottom, local);
+    add_share(1u, shares.top, local);
+    add_up(local);
 }
 
 // Writes the key of a point at place i, and counts it with those of bottom and top distances.
@@ -329,10 +356,7 @@ fn main(
         let a = radii[row + j];
         let above = row + parameters.nodes;
         let shape = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
-        if (local < 2u) {
-            atomicStore(&number[local], 0u);
-        }
-        workgroupBarrier();
+        clear_sums(local);
         var own_number = vec2u(0u);
         if (KEYED == 0u) {
             for (var i = begin + local; i < end; i += 4u * THREADS) {
@@ -352,12 +376,12 @@ fn main(
                 own_number += numbers_of(k.a) + numbers_of(k.b) + numbers_of(k.c) + numbers_of(k.d);
             }
         }
-        atomicAdd(&number[0], own_number.x);
-        atomicAdd(&number[1], own_number.y);
+        add_to(KEPT, own_number.x, local);
+        add_to(KEPT + 1u, own_number.y, local);
         storageBarrier();
-        workgroupBarrier();
+        add_up(local);
 
-        let n = vec2u(atomicLoad(&number[0]), atomicLoad(&number[1]));
+        let n = vec2u(totals[KEPT], totals[KEPT + 1u]);
         if (parameters.outliers == OUTLIERS_IQR) {
             let first = vec2u(first_quartile(n.x), n.x + first_quartile(n.y));
             let third = vec2u(third_quartile(n.x), n.x + third_quartile(n.y));
@@ -370,10 +394,10 @@ fn main(
         let top = bounds_of(1u, n.y, chosen.zw, rule.unit);
         workgroupBarrier();
         sum_within(begin, end, bottom, top, rule, local);
-        let count_kept = vec2u(atomicLoad(&kept[0]), atomicLoad(&kept[1]));
+        let count_kept = vec2u(totals[KEPT], totals[KEPT + 1u]);
         if (parameters.statistic == STATISTIC_MEDIAN) {
-            let x = atomicLoad(&below[0]) + median(count_kept.x);
-            let y = n.x + atomicLoad(&below[1]) + median(count_kept.y);
+            let x = totals[BELOW] + median(count_kept.x);
+            let y = n.x + totals[BELOW + 1u] + median(count_kept.y);
             select_four(begin, end, vec4u(x, x, y, y), local);
         }
         if (local < 2u) {
@@ -394,7 +418,7 @@ fn main(
                 triangle_support[triangle] = own;
             }
         }
-        if (local == 0u && atomicLoad(&seen) == end - begin) {
+        if (local == 0u && totals[SEEN] == end - begin) {
             atomicAdd(&listed_faces[LONG_DONE], 1u);
         }
         workgroupBarrier();

@@ -184,6 +184,9 @@ fn print_row(row: &BenchRow) {
     println!("    upload                {}", times(&device.upload));
     println!("    passes, resident      {}", times(&device.resident));
     println!("    radii back            {}", times(&device.readback));
+    if let Some(iteration) = &device.iteration {
+        println!("    one more iteration    {}", times(iteration));
+    }
     for pass in &device.passes {
         println!(
             "      {:<20}{:>10.3} ms  {:>8.2} MB, {:>5.1} % of copy bandwidth{}",

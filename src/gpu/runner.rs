@@ -166,6 +166,49 @@ impl<Stage, Items> Runner<Stage, Items> {
         Ok(done)
     }
 
+    /// The time between timestamps before and after what `record` records, s, on a device that has timestamps.
+    pub(crate) fn device_time_s(
+        &self,
+        job: Job,
+        record: impl FnOnce(&mut wgpu::CommandEncoder) -> Result<(), GpuError>,
+    ) -> Result<f64, GpuError> {
+        let device = &self.context.device;
+        let queries = device.create_query_set(&wgpu::QuerySetDescriptor {
+            label: None,
+            ty: wgpu::QueryType::Timestamp,
+            count: 2,
+        });
+        let resolved = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("timestamps"),
+            size: 16,
+            usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
+        // An empty pass that ends before the work begins, and one that begins after it.
+        let stamp = |encoder: &mut wgpu::CommandEncoder, begin: Option<u32>, end: Option<u32>| {
+            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: None,
+                timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
+                    query_set: &queries,
+                    beginning_of_pass_write_index: begin,
+                    end_of_pass_write_index: end,
+                }),
+            });
+        };
+        let record = |encoder: &mut wgpu::CommandEncoder| {
+            stamp(encoder, None, Some(0));
+            record(encoder)?;
+            stamp(encoder, Some(1), None);
+            encoder.resolve_query_set(&queries, 0..2, &resolved, 0);
+            Ok(())
+        };
+        let read = |views: &[&[u8]]| bytemuck::pod_read_unaligned::<[u64; 2]>(views[0]);
+        let ([before, after], spent) = self.context.run_and_read(job, &[(&resolved, 16)], record, read)?;
+        self.spend(spent);
+        let period_s = f64::from(self.context.queue.get_timestamp_period()) * 1e-9;
+        Ok(after.saturating_sub(before) as f64 * period_s)
+    }
+
     /// Adds to what the engine's work took.
     pub(crate) fn spend(&self, more: Spent) {
         *self.spent.lock().unwrap_or_else(PoisonError::into_inner) += more;

@@ -128,8 +128,35 @@ impl Device {
         let readback = Times::measure_warm(repeats, || {
             Ok(engine.runner().run(Job { bytes: 0, rounds: 1 }, &[workspace.radii()], |_, _| Ok(()))?)
         })?;
+        let iteration = self.time_iteration(&workspace, section, settings, repeats)?;
         let passes = self.time_passes(&workspace, section, settings, repeats)?;
-        Ok(DeviceRow { end_to_end, of_it, making_memory, upload, resident, readback, passes })
+        Ok(DeviceRow { end_to_end, of_it, making_memory, upload, resident, readback, iteration, passes })
+    }
+
+    /// Device time of one more iteration.
+    fn time_iteration(
+        &self,
+        workspace: &FitWorkspace,
+        section: &Section<f32>,
+        settings: &Settings,
+        repeats: usize,
+    ) -> Result<Option<Times>> {
+        const MORE: u32 = 10;
+        let engine = &self.engine;
+        if !engine.device().features().contains(wgpu::Features::TIMESTAMP_QUERY) {
+            return Ok(None);
+        }
+        let more = settings.clone().with_iterations(settings.iterations + MORE);
+        let longer = engine.prepare(section.len() as u32, RADIUS_MM, &more)?;
+        let coordinates = [&section.r, &section.theta, &section.z].map(|of_all| bytemuck::cast_slice(of_all));
+        engine.runner().context.write_parts(longer.section(), &coordinates)?;
+        let mut seconds = Vec::new();
+        Times::measure_warm(repeats, || {
+            let [short_s, long_s] = [engine.device_time_s(workspace)?, engine.device_time_s(&longer)?];
+            seconds.push((long_s - short_s) / f64::from(MORE));
+            Ok(())
+        })?;
+        Ok(Some(Times::of(seconds.split_off(seconds.len().saturating_sub(repeats.max(1))))))
     }
 
     /// Device time of each pass over a fit.

@@ -201,7 +201,11 @@ pub struct DeviceRow {
     pub resident: Times,
     /// The radii's transfer back.
     pub readback: Times,
-    /// Each pass, timed on the device, as the sum over a fit; absent where the device has no timestamps.
+    /// One more iteration, on the device: a tenth of the difference between a fit of ten more iterations and one of
+    /// as many as `resident` has, without gaps for timestamps within them. `None` where the device has no timestamps.
+    pub iteration: Option<Times>,
+    /// Each pass, timed alone on the device, as the sum over a fit; absent where the device has no timestamps. Starting
+    /// and ending a pass for its timestamps takes some microseconds.
     pub passes: Vec<PassRow>,
 }
 

@@ -259,6 +259,15 @@ impl GpuEngine {
         Ok(())
     }
 
+    /// The time that the whole fit of a workspace takes on the device, s.
+    pub(crate) fn device_time_s(&self, workspace: &FitWorkspace) -> Result<f64> {
+        let Runner { context, passes, .. } = &self.runner;
+        let job = Job { bytes: workspace.bytes(), rounds: u64::from(workspace.iterations()) + 1 };
+        Ok(self.runner.device_time_s(job, |encoder| {
+            workspace.record(context, passes, encoder, CpuStages::None, false, &mut |_| None)
+        })?)
+    }
+
     /// Runs a workspace and reads its tubes back. With the sections of its cylinders, the CPU's stages run first.
     fn tubes(
         &self,
