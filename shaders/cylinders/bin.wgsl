@@ -16,24 +16,6 @@ override FEW: u32 = 0u;
 
 var<workgroup> own_counts: array<atomic<u32>, 1024>;
 
-fn face_of(slot: u32) -> u32 {
-    if (slot >= parameters.slots) {
-        return NONE;
-    }
-    var owner = 0u;
-    if (parameters.single == 0u) {
-        owner = owners[slot];
-    }
-    if (owner == NONE) {
-        return NONE;
-    }
-    let theta = section[parameters.slots + slot];
-    let z = section[2u * parameters.slots + slot];
-    let level = min(u32((z + parameters.half_height) * parameters.faces_per_mm), parameters.levels - 1u);
-    let node = min(u32(theta * parameters.faces_per_rad), parameters.nodes - 1u);
-    return owner * parameters.faces + level * parameters.nodes + node;
-}
-
 fn place_of_all(face: u32) -> u32 {
     if (face == NONE) {
         return 0u;

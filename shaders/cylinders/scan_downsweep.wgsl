@@ -32,13 +32,7 @@ fn main(
         if (first + i < total) {
             offsets[first + i] = before;
             before += own[i];
-            if (own[i] > parameters.max_middle) {
-                let index = atomicAdd(&listed_faces[LONG_COUNT], 1u);
-                atomicStore(&listed_faces[FIRST_LISTED + index], first + i);
-            } else if (own[i] > parameters.max_short) {
-                let index = atomicAdd(&listed_faces[MIDDLE_COUNT], 1u);
-                atomicStore(&listed_faces[arrayLength(&listed_faces) - 1u - index], first + i);
-            }
+            list_face(first + i, own[i]);
             if (first + i + 1u == total) {
                 offsets[total] = before;
             }

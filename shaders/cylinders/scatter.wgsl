@@ -5,11 +5,12 @@
 @group(0) @binding(0) var<uniform> parameters: FitParameters;
 // r of all slots, then θ, then z.
 @group(0) @binding(1) var<storage, read> section: array<f32>;
+@group(0) @binding(2) var<storage, read> owners: array<u32>;
 // The faces of all slots, then their places.
-@group(0) @binding(2) var<storage, read> places: array<u32>;
-@group(0) @binding(3) var<storage, read> offsets: array<u32>;
-// The bits of r, θ - θⱼ and z - zₗ of each point, and its face: together, since they are written at once.
-@group(0) @binding(4) var<storage, read_write> grouped: array<vec4u>;
+@group(0) @binding(3) var<storage, read> places: array<u32>;
+@group(0) @binding(4) var<storage, read> offsets: array<u32>;
+// Each point's numbers together, since they are written at once.
+@group(0) @binding(5) var<storage, read_write> grouped: array<vec4u>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -26,14 +27,5 @@ fn main(
     if (face_of_all == NONE || face_of_all - group.z * parameters.window >= parameters.window) {
         return;
     }
-    let face = face_of_all % parameters.faces;
-    let level = face / parameters.nodes;
-    let theta = section[parameters.slots + slot];
-    let height = section[2u * parameters.slots + slot] + parameters.half_height;
-    grouped[offsets[face_of_all] + places[parameters.slots + slot]] = vec4u(
-        bitcast<u32>(section[slot]),
-        bitcast<u32>(theta - f32(face - level * parameters.nodes) * parameters.step_theta),
-        bitcast<u32>(height - f32(level) * parameters.step_z),
-        face_of_all,
-    );
+    grouped[offsets[face_of_all] + places[parameters.slots + slot]] = grouped_point(slot, face_of_all);
 }

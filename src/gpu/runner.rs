@@ -48,7 +48,11 @@ impl<Stage, Items> Runner<Stage, Items> {
         let passes = table
             .iter()
             .filter(|pass| !pass.shader.subgroups || context.subgroup_width().is_some())
-            .filter(|pass| context.has_workgroups_of(pass.shader.workgroup_size))
+            // Workgroups within the standard's limits are not left out but refused by a device that has less.
+            .filter(|Pass { shader, .. }| {
+                shader.workgroup_size <= wgpu::Limits::default().max_compute_invocations_per_workgroup
+                    || context.has_workgroups_of(shader.workgroup_size)
+            })
             .map(|pass| Ok(ReadyPass { pass, pipeline: Pipeline::new(&context.device, &pass.shader)? }))
             .collect::<Result<_, GpuError>>()?;
         Ok(Self { context, passes, times: Mutex::default(), spent: Mutex::default() })

@@ -41,7 +41,7 @@ pub struct Shader {
     pub preamble: fn() -> String,
     /// Its buffers in the order of their binding numbers.
     pub bindings: &'static [Binding],
-    /// Invocations per workgroup. A device with smaller ones does not get the pass.
+    /// Invocations per workgroup. With more than WebGPU's limit, a device with smaller ones does not get the pass.
     pub workgroup_size: u32,
     /// Values of pipeline constants (`override` in WGSL), the same in every pipeline of the pass.
     pub constants: &'static [(&'static str, f64)],

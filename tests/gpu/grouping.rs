@@ -11,6 +11,7 @@ use lumenmesh::low_level::cylinders::passes::{
 };
 use lumenmesh::settings::Settings;
 use rand::RngExt;
+use std::cmp::Ordering;
 use std::iter::repeat_n;
 
 /// The owner of a point that is in no face.
@@ -72,10 +73,62 @@ pub fn bins_and_scatters(device: &Device, section: &Section<f32>, settings: &Set
     let [grouped] = device.run(&workspace, "scatter", &inputs, ["grouped"]);
     // θ and z less that of the corner: one product, one or two differences.
     let tolerance = Tolerance::of(device.exact, 4.0, 2.0 * std::f64::consts::TAU.max(settings.height_mm));
-    let [coordinates, faces] = [true, false].map(|coordinate| of_points(&grouped, coordinate));
-    numbers(&coordinates, groups.points.as_flattened(), tolerance).unwrap();
-    let face_of_each = (0..).zip(&of_twin).flat_map(|(face, &count)| repeat_n(face, count as usize));
-    integers(&faces, &face_of_each.collect::<Vec<u32>>()).unwrap();
+    let agrees = |grouped: &Readback, points: &[[f32; 3]]| {
+        let [coordinates, faces] = [true, false].map(|coordinate| of_points(grouped, coordinate));
+        numbers(&coordinates, points.as_flattened(), tolerance).unwrap();
+        let face_of_each = (0..).zip(&of_twin).flat_map(|(face, &count)| repeat_n(face, count as usize));
+        integers(&faces, &face_of_each.collect::<Vec<u32>>()).unwrap();
+    };
+    agrees(&grouped, &groups.points);
+
+    if tube.face_count() <= 1024 {
+        // A face's points come in any order.
+        let mut sorted = groups.points.clone();
+        for ends in groups.offsets.windows(2) {
+            sorted[ends[0] as usize..ends[1] as usize].sort_by(in_order_of_numbers);
+        }
+        for pass in at_once(device) {
+            let outputs = ["offsets", "listed_faces", "grouped"];
+            let [offsets, mut listed, grouped] = device.run(&workspace, pass, &[points], outputs);
+            integers(&offsets, &groups.offsets).unwrap();
+            let FitParameters { max_short, max_middle, .. } = *workspace.parameters();
+            let expected = listed_faces(&of_twin, max_short, max_middle, listed.words.len());
+            same_list(&mut listed, &expected);
+            agrees(&with_sorted_faces(&grouped, &groups.offsets), &sorted);
+        }
+    }
+}
+
+/// The passes in which one workgroup groups the points.
+fn at_once(device: &Device) -> Vec<&'static str> {
+    let wide = device.engine.device().limits().max_compute_invocations_per_workgroup >= 1024;
+    [Some("group_few"), wide.then_some("group_few_wide")].into_iter().flatten().collect()
+}
+
+fn in_order_of_numbers(p: &[f32; 3], q: &[f32; 3]) -> Ordering {
+    p.iter().zip(q).map(|(a, b)| a.total_cmp(b)).find(|order| order.is_ne()).unwrap_or(Ordering::Equal)
+}
+
+/// Grouped points with those of each face in the order of their numbers.
+fn with_sorted_faces(grouped: &Readback, offsets: &[u32]) -> Readback {
+    let mut points: Vec<[u32; 4]> = grouped.words.as_chunks().0.to_vec();
+    for ends in offsets.windows(2) {
+        let of_face = &mut points[ends[0] as usize..ends[1] as usize];
+        let numbers = |[r, theta, z, _]: [u32; 4]| [r, theta, z].map(f32::from_bits);
+        of_face.sort_by(|p, q| in_order_of_numbers(&numbers(*p), &numbers(*q)));
+    }
+    Readback { before: grouped.before.clone(), words: points.as_flattened().to_vec() }
+}
+
+/// Lists of long faces and of those of middle size, in any order.
+fn same_list(found: &mut Readback, expected: &[u32]) {
+    let words = found.words.len();
+    let (long, middle) = (expected[0] as usize, expected[2] as usize);
+    assert_eq!([found.words[0], found.words[2]], [long as u32, middle as u32]);
+    found.words[LIST_HEAD..LIST_HEAD + long].sort_unstable();
+    assert_eq!(found.words[LIST_HEAD..LIST_HEAD + long], expected[LIST_HEAD..LIST_HEAD + long]);
+    found.words[words - middle..].sort_unstable_by(|a, b| b.cmp(a));
+    assert_eq!(found.words[words - middle..], expected[words - middle..]);
 }
 
 /// The coordinates of grouped points, or their faces.
@@ -138,6 +191,21 @@ fn bin_and_scatter_keep_cylinders_apart_and_leave_out_points_without_one() {
         let [counted, placed] = device.run(workspace, pass, &inputs, ["counts", "places"]);
         integers(&counted, &expected).unwrap();
         places(&placed, &face_of_each, 180).unwrap();
+    }
+    let sums = expected.iter().scan(0, |sum, count| {
+        *sum += count;
+        Some(*sum)
+    });
+    let offsets: Vec<u32> = std::iter::once(0).chain(sums).collect();
+    for pass in at_once(device) {
+        let [found, grouped] = device.run(workspace, pass, &inputs[..2], ["offsets", "grouped"]);
+        integers(&found, &offsets).unwrap();
+        let of_each = (0..180).flat_map(|face: u32| repeat_n(face, expected[face as usize] as usize));
+        let faces = of_points(&grouped, false);
+        let count = offsets[180] as usize;
+        assert_eq!(faces.words[..count], of_each.collect::<Vec<_>>());
+        // Places of points that belong to no face stay as they were.
+        assert_eq!(faces.words[count..], faces.before[count..]);
     }
     let mut of_twin = vec![0_u32; 180];
     let twin = bin(&section, Some(&owners), &TubeGrid::new(&tube), &mut of_twin);
@@ -220,15 +288,10 @@ fn listed_faces_are_those_above_the_capacities() {
             ("listed_faces", bytemuck::cast_slice(&[0_u32, 7, 0])),
         ];
         let [mut found] = device.run(&workspace, "scan_downsweep", &inputs, ["listed_faces"]);
-        let words = found.words.len();
-        let expected = listed_faces(&counts, max_short, max_middle, words);
-        let (long, middle) = (expected[0] as usize, expected[2] as usize);
-        // In any order; the word between is another pass's.
-        assert_eq!(found.words[..LIST_HEAD], [long as u32, 7, middle as u32]);
-        found.words[LIST_HEAD..LIST_HEAD + long].sort_unstable();
-        assert_eq!(found.words[LIST_HEAD..LIST_HEAD + long], expected[LIST_HEAD..LIST_HEAD + long]);
-        found.words[words - middle..].sort_unstable_by(|a, b| b.cmp(a));
-        assert_eq!(found.words[words - middle..], expected[words - middle..]);
-        assert!(faces < 4 || (long > 0 && middle > 1));
+        let expected = listed_faces(&counts, max_short, max_middle, found.words.len());
+        same_list(&mut found, &expected);
+        // Another pass's word.
+        assert_eq!(found.words[1], 7);
+        assert!(faces < 4 || (expected[0] > 0 && expected[2] > 1));
     }
 }

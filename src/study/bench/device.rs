@@ -235,6 +235,8 @@ impl Work {
         let flops = |points: u64| iterations * FLOPS_PER_DISTANCE * points;
         match pass {
             "bin" | "bin_few" => ((8 + 8) * points + 4 * faces, 0),
+            // The points are read twice.
+            "group_few" | "group_few_wide" => ((2 * 12 + 16) * points + 4 * faces, 0),
             "scan_reduce" => (4 * faces, 0),
             "scan_downsweep" => (8 * faces, 0),
             "scatter" => ((12 + 8 + 16) * points + 4 * faces, 0),

@@ -22,6 +22,10 @@ pub enum Stage {
 pub enum Items {
     /// One workgroup per pair of cylinder and frame.
     Pairs,
+    /// One workgroup, where there are few points and at most 1024 faces in the batch.
+    FewPoints,
+    /// The same, four times as large, where the device has such workgroups.
+    FewPointsWide,
     /// One workgroup per 1024 points before the gate, where there are more than 1024 faces in the batch.
     Tiles,
     /// One workgroup per 1024 points before the gate, where there are not.
@@ -71,6 +75,8 @@ const DISTANCE: &str = include_str!("../../../../shaders/cylinders/common/distan
 const FILL: &str = include_str!("../../../../shaders/cylinders/common/fill.wgsl");
 const EIGHT_KEYS: &str = include_str!("../../../../shaders/cylinders/common/eight_keys.wgsl");
 const MEASURE_SHORT: &str = include_str!("../../../../shaders/cylinders/common/measure_short.wgsl");
+const LISTING: &str = include_str!("../../../../shaders/cylinders/common/listing.wgsl");
+const POINTS: &str = include_str!("../../../../shaders/cylinders/common/points.wgsl");
 const FILTER: &str = include_str!("../../../../shaders/cylinders/common/filter.wgsl");
 
 /// A row: name and, where it differs, `in` the file's; stage, items, workgroup size, common files, bindings (a
@@ -93,23 +99,29 @@ macro_rules! pass {
 }
 
 /// Every pass, in the order in which they run.
-pub static PASSES: [Pass; 18] = [
+pub static PASSES: [Pass; 20] = [
     pass!("project", Project, Pairs, 64, [DISPATCH, ANGLE], [
         "cylinders": Read, "points": Read, "pairs": Read, "section": Write, "owners": Write, "gated": Write,
     ], { preamble: angle_constants }),
-    pass!("bin", Group, Tiles, 256, [DISPATCH], [
+    pass!("group_few", Group, FewPoints, 256, [SCAN, POINTS, LISTING], [
+        "section": Read, "owners": Read, "offsets": Write, "listed_faces": Write, "grouped": Write,
+    ], { constants: &[("THREADS", 256.0)] }),
+    pass!("group_few_wide" in "group_few", Group, FewPointsWide, 1024, [SCAN, POINTS, LISTING], [
+        "section": Read, "owners": Read, "offsets": Write, "listed_faces": Write, "grouped": Write,
+    ], { constants: &[("THREADS", 1024.0)] }),
+    pass!("bin", Group, Tiles, 256, [DISPATCH, POINTS], [
         "section": Read, "owners": Read, "counts": Write, "places": Write,
     ], { constants: &[("FEW", 0.0)] }),
-    pass!("bin_few" in "bin", Group, FewTiles, 256, [DISPATCH], [
+    pass!("bin_few" in "bin", Group, FewTiles, 256, [DISPATCH, POINTS], [
         "section": Read, "owners": Read, "counts": Write, "places": Write,
     ], { constants: &[("FEW", 1.0)] }),
     pass!("scan_reduce", Group, SeveralBlocks, 256, [DISPATCH], ["counts": Read, "block_sums": Write]),
     pass!("scan_spine", Group, Spine, 256, [SCAN], ["block_sums": Write]),
-    pass!("scan_downsweep", Group, Blocks, 256, [DISPATCH, SCAN], [
+    pass!("scan_downsweep", Group, Blocks, 256, [DISPATCH, SCAN, LISTING], [
         "counts": Read, "block_sums": Read, "offsets": Write, "listed_faces": Write,
     ]),
-    pass!("scatter", Group, Slots, 256, [DISPATCH], [
-        "section": Read, "places": Read, "offsets": Read, "grouped": Write,
+    pass!("scatter", Group, Slots, 256, [DISPATCH, POINTS], [
+        "section": Read, "owners": Read, "places": Read, "offsets": Read, "grouped": Write,
     ]),
     pass!("measure_few", Iterate, FewFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, EIGHT_KEYS], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,

@@ -242,7 +242,10 @@ const WINDOW: u32 = 1 << 22;
 /// Points per face on average from which several workgroups share a face's distances.
 const SHARED_FACE: u64 = 2048;
 
-/// Invocations of a workgroup of `measure_long_wide`.
+/// Most points before the gate that one workgroup groups: with more it takes longer than three passes of many workgroups.
+const FEW_POINTS: u32 = 1 << 14;
+
+/// Invocations of a workgroup of the wide passes.
 const WIDE: u32 = 1024;
 
 /// Most windows: each of them reads all places.
@@ -383,7 +386,7 @@ impl FitWorkspace {
                 (parameters.slots.div_ceil(size), all_faces.div_ceil(parameters.window))
             }
             Items::SeveralBlocks | Items::Blocks => (blocks, 1),
-            Items::Spine => (1, 1),
+            Items::Spine | Items::FewPoints | Items::FewPointsWide => (1, 1),
             Items::FewFaces => (parameters.faces.div_ceil(size), parameters.cylinders),
             Items::ShortFaces | Items::ShortFacesShared => {
                 (parameters.faces.div_ceil(size / self.classes.short.lanes.max(1)), parameters.cylinders)
@@ -401,6 +404,11 @@ impl FitWorkspace {
         [x, y, layers]
     }
 
+    /// Whether one workgroup groups the points.
+    fn has_few_points(&self) -> bool {
+        self.parameters.cylinders * self.parameters.faces <= 1024 && self.parameters.slots <= FEW_POINTS
+    }
+
     /// Whether a fit of this size needs a pass.
     fn needs(&self, pass: &Pass) -> bool {
         let several_blocks = self.parameters.cylinders * self.parameters.faces > 1024;
@@ -408,7 +416,10 @@ impl FitWorkspace {
             Items::Pairs => self.parameters.single == 0,
             // The sum before the only block is 0, which its buffer holds.
             Items::SeveralBlocks | Items::Spine | Items::Tiles => several_blocks,
-            Items::FewTiles => !several_blocks,
+            Items::FewTiles => !several_blocks && !self.has_few_points(),
+            Items::Blocks | Items::Slots => !self.has_few_points(),
+            Items::FewPoints => self.has_few_points() && !self.wide,
+            Items::FewPointsWide => self.has_few_points() && self.wide,
             Items::LongFaces => !self.shared_faces,
             Items::Points => self.shared_faces,
             Items::KeyedFaces => self.shared_faces && !self.wide,
@@ -479,11 +490,12 @@ impl FitWorkspace {
         let travels = self.travel_stride * u64::from(self.iterations.max(1));
         let tallies = 8 * u64::from(self.parameters.cylinders);
         // Kept buffers may be larger than this batch needs.
-        for (name, bytes) in [("counts", 4 * all_faces), ("travels", travels), ("tallies", tallies)] {
+        for (name, bytes) in [("travels", travels), ("tallies", tallies)] {
             encoder.clear_buffer(&self.buffers[name], 0, Some(bytes));
         }
-        // The CPU lists the faces where it groups the points.
-        if done < CpuStages::Group {
+        // The CPU lists the faces where it groups the points, and one workgroup that does clears the list itself.
+        if done < CpuStages::Group && !self.has_few_points() {
+            encoder.clear_buffer(&self.buffers["counts"], 0, Some(4 * all_faces));
             encoder.clear_buffer(&self.buffers["listed_faces"], 0, Some(4 * LIST_HEAD as u64));
         }
         if done < CpuStages::Project && self.parameters.single == 0 {
