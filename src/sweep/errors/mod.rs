@@ -204,9 +204,8 @@ impl<'a> Recorded<'a> {
             let next_s = times_s.last().map_or(0.0, |before| before + FRAME_INTERVAL_S);
             times_s.push(frames[k].time_s.unwrap_or(next_s));
         }
-        let seen =
-            |echo: &Echo| Seen { theta_rad: echo.theta_rad(grid.nodes), frame: numbers[echo.frame as usize] };
-        Self { grid, times_s, seen: echoes.iter().map(seen).collect(), supported }
+        let seen = |echo: &Echo| Seen::new(echo.theta_rad(grid.nodes), numbers[echo.frame as usize]);
+        Self { grid, times_s, seen: echoes.par_iter().map(seen).collect(), supported }
     }
 
     /// Median over the rings with supported nodes of the time between the first and the last echo within a distance, s.
@@ -287,20 +286,24 @@ impl<'a> Recorded<'a> {
         let fields: Vec<[Vec<f64>; 3]> = (0..ROUGHNESS_DRAWS)
             .into_par_iter()
             .map(|draw| {
-                let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
-                let Response { errors_mm, residuals_mm } = smoother.to_errors(&errors_mm)?;
-                let of_bends = smoother.wall(&smoother.to_bends(draw, None)?.residuals_mm)?;
-                Ok([errors_mm, smoother.wall(&residuals_mm)?, of_bends])
+                let of_errors = || -> Result<[Vec<f64>; 2]> {
+                    let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
+                    let Response { errors_mm, residuals_mm } = smoother.to_errors(&errors_mm)?;
+                    Ok([errors_mm, smoother.wall(&residuals_mm)?])
+                };
+                let of_bends = || smoother.wall(&smoother.to_bends(draw, None)?.residuals_mm);
+                let (of_errors, of_bends) = rayon::join(of_errors, of_bends);
+                let [errors_mm, noise_mm] = of_errors?;
+                Ok([errors_mm, noise_mm, of_bends?])
             })
             .collect::<Result<_>>()?;
         let [errors, noise, bends] = [0, 1, 2].map(|i| mean_squares(fields.iter().map(|field| &field[i])));
         let found: Vec<f64> = found_mm.iter().map(|x| x * x).collect();
-        let about = [found, noise, bends].map(|field| self.averaged(&field, NODE_REACHES * reach_mm));
+        let [found, noise, bends] = self.averaged([&found, &noise, &bends], NODE_REACHES * reach_mm);
         let ratio = |least: f64, found: f64, noise: f64, bends: f64| {
             let ratio = (found - noise) / bends;
             if ratio.is_finite() { ratio.clamp(least, MAX_RATIO) } else { 1.0 }
         };
-        let [found, noise, bends] = &about;
         let of_nodes: Vec<f64> =
             (0..self.grid.node_count()).map(|n| ratio(MIN_RATIO, found[n], noise[n], bends[n])).collect();
         let weights = gaussian(RING_REACHES * reach_mm / self.grid.step_mm, self.grid.rings);
@@ -437,7 +440,7 @@ impl<'a> Recorded<'a> {
         let mut sums = vec![[0.0; 3]; self.times_s.len()];
         let mut counts = vec![0.0_f64; self.times_s.len()];
         for ((seen, residual), _) in self.seen.iter().zip(values_mm).zip(is_on_wall).filter(|(_, on)| **on) {
-            let (sin, cos) = seen.theta_rad.sin_cos();
+            let [cos, sin] = seen.direction;
             let frame = seen.frame as usize;
             sums[frame].iter_mut().zip([1.0, cos, sin]).for_each(|(sum, part)| *sum += part * residual);
             counts[frame] += 1.0;
@@ -477,13 +480,16 @@ impl<'a> Recorded<'a> {
             .into_par_iter()
             .map(|draw| {
                 let draw = ROUGHNESS_DRAWS + draw;
-                let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
-                Ok([smoother.wall(&errors_mm)?, smoother.to_bends(draw, None)?.errors_mm])
+                let (of_errors, of_bends) = rayon::join(
+                    || smoother.wall(&self.drawn(&descriptions[draw % descriptions.len()], draw)),
+                    || smoother.to_bends(draw, None),
+                );
+                Ok([of_errors?, of_bends?.errors_mm])
             })
             .collect::<Result<_>>()?;
         let reach_mm = VARIANCE_REACHES * self.reach_mm(echoes, wall);
-        let noise = self.averaged(&mean_squares(fields.iter().map(|[noise, _]| noise)), reach_mm);
-        let bends = self.averaged(&mean_squares(fields.iter().map(|[_, bends]| bends)), reach_mm);
+        let [noise, bends] = [0, 1].map(|kind| mean_squares(fields.iter().map(|field| &field[kind])));
+        let [noise, bends] = self.averaged([&noise, &bends], reach_mm);
         let WallGrid { nodes, rings, arc_mm, .. } = *self.grid;
         let roughness_of = |n: usize| of_nodes[n].max(MIN_NODE) / of_rings[n / nodes];
         let variance = |n: usize| noise[n] + bends[n] * roughness_of(n);
@@ -514,13 +520,18 @@ impl<'a> Recorded<'a> {
     }
 
     /// Means about every node, of supported nodes if it is one itself, with Gaussian weights of a standard deviation.
-    fn averaged(&self, values: &[f64], sd_mm: f64) -> Vec<f64> {
+    fn averaged<const N: usize>(&self, fields: [&[f64]; N], sd_mm: f64) -> [Vec<f64>; N] {
         let weights: Vec<f64> = self.supported.iter().map(|&s| f64::from(u8::from(s))).collect();
-        let of_supported: Vec<f64> = values.iter().zip(&weights).map(|(v, w)| v * w).collect();
         let smooth = |values: &[f64]| self.smoothed(values, sd_mm);
-        let (all, of_supported, weights) = (smooth(values), smooth(&of_supported), smooth(&weights));
-        let mean = |n: usize| if self.supported[n] { of_supported[n] / weights[n] } else { all[n] };
-        (0..values.len()).map(mean).collect()
+        let shares = smooth(&weights);
+        fields.map(|values| {
+            let of_supported: Vec<f64> = values.iter().zip(&weights).map(|(v, w)| v * w).collect();
+            let (mut means, of_supported) = rayon::join(|| smooth(values), || smooth(&of_supported));
+            for node in (0..means.len()).filter(|&n| self.supported[n]) {
+                means[node] = of_supported[node] / shares[node];
+            }
+            means
+        })
     }
 
     /// Sums with Gaussian weights of a standard deviation, which add up to 1 where rings do not end.
@@ -537,12 +548,16 @@ impl<'a> Recorded<'a> {
             }
         });
         let mut smoothed = vec![0.0; values.len()];
-        smoothed.par_chunks_exact_mut(nodes).zip(columns.par_chunks_exact(nodes)).for_each(|(out, ring)| {
+        // The weights of fewer nodes than half a ring's.
+        let reach = around.len() - 1;
+        let tasks = smoothed.par_chunks_exact_mut(nodes).zip(columns.par_chunks_exact(nodes));
+        tasks.for_each_init(Vec::new, |round: &mut Vec<f64>, (out, ring)| {
+            round.clear();
+            round.extend(ring[nodes - reach..].iter().chain(ring).chain(&ring[..reach]));
             for (offset, weight) in around.iter().enumerate() {
-                for (j, out) in out.iter_mut().enumerate() {
-                    let after = ring[(j + offset) % nodes];
-                    let before = ring[(j + nodes - offset) % nodes];
-                    *out += weight * if offset == 0 { after } else { after + before };
+                let (after, before) = (&round[reach + offset..], &round[reach - offset..]);
+                for ((out, after), before) in out.iter_mut().zip(after).zip(before) {
+                    *out += weight * if offset == 0 { *after } else { after + before };
                 }
             }
         });

@@ -14,7 +14,7 @@ pub(in crate::sweep) const GATE_RADII: f64 = 0.25;
 /// Projections lie at most this many standard deviations from their echoes.
 pub(in crate::sweep) const MAX_PROJECTION_SDS: f64 = 3.0;
 /// Echoes per parallel task: a fixed number, so that sums do not depend on the number of threads.
-pub(super) const TASK: usize = 8192;
+pub(in crate::sweep) const TASK: usize = 8192;
 
 /// The wall and the noise that residuals are evaluated on.
 #[derive(Debug, Clone, Copy)]

@@ -109,12 +109,18 @@ impl<'a> Solver<'a> {
         // In the norm of the preconditioner, which weights a residual by its effect on x.
         multigrid.precondition(&residual, &mut z, &mut room);
         let enough = tolerance * tolerance * dot(&residual, &z);
-        operator.apply(x, &mut product);
-        coupling(x, &mut product);
-        update(&mut residual, &product, |right, product| right - product);
+        // From zero, that is the first step's already.
+        let from_zero = x.iter().all(|x| *x == 0.0);
+        if !from_zero {
+            operator.apply(x, &mut product);
+            coupling(x, &mut product);
+            update(&mut residual, &product, |right, product| right - product);
+        }
         let mut size = 0.0;
         for step in 0..=max_steps {
-            multigrid.precondition(&residual, &mut z, &mut room);
+            if step > 0 || !from_zero {
+                multigrid.precondition(&residual, &mut z, &mut room);
+            }
             let next = dot(&residual, &z);
             if next <= enough || step == max_steps {
                 return Ok(Solved { steps: step, converged: next <= enough });
