@@ -83,7 +83,8 @@ impl<'a> ResidualModel<'a> {
 
     /// Evaluates the residuals of all echoes, and with `project` moves their projections.
     pub(in crate::sweep) fn measure_all(&self, echoes: &mut [Echo], project: bool) {
-        echoes.par_chunks_mut(TASK).for_each(|task| {
+        // Smaller tasks, since nothing is summed: all threads have some.
+        echoes.par_chunks_mut(TASK / 8).for_each(|task| {
             for echo in task {
                 self.measure(echo, project);
             }
