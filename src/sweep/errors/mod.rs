@@ -81,10 +81,10 @@ pub struct Beat {
 /// Smallest recording whose errors are estimated: frames, and echoes.
 const MIN_FRAMES: usize = 24;
 const MIN_ECHOES: usize = 500;
-/// Draws of the kinds of errors that every recording has, and of each other kind.
+/// Draws of the kinds of errors that every recording has, the bends behind the roughness among them, and of each other kind.
 const BASE_DRAWS: usize = 3;
 const OTHER_DRAWS: usize = 1;
-/// Draws behind the roughness, and behind the standard errors.
+/// Draws of errors behind the roughness, and behind the standard errors.
 const ROUGHNESS_DRAWS: usize = 3;
 const VARIANCE_DRAWS: usize = 8;
 /// Residuals beyond this many standard deviations of the noise count as that many.
@@ -150,6 +150,24 @@ struct Roughness {
     errors: Vec<f64>,
     /// As the sums of rings show it.
     sums: Vec<f64>,
+}
+
+/// Bends of a wall that is as rough as the smoothing assumes.
+struct Bends {
+    /// The residuals of the echoes that come with them, mm.
+    residuals_mm: Vec<f64>,
+    /// The wall through these, mm.
+    found_mm: Vec<f64>,
+}
+
+impl Bends {
+    fn drawn(smoother: &Smoother, draws: usize) -> Result<Vec<Self>> {
+        let of_draw = |draw| {
+            let Response { residuals_mm, .. } = smoother.to_bends(draw, None)?;
+            Ok(Self { found_mm: smoother.wall(&residuals_mm)?, residuals_mm })
+        };
+        (0..draws).into_par_iter().map(of_draw).collect()
+    }
 }
 
 /// Estimates the errors of a recording, fits the wall again with a smoothness that follows its roughness, and replaces the
@@ -253,12 +271,14 @@ impl<'a> Recorded<'a> {
         let residuals_mm: Vec<f64> = echoes.iter().map(|e| e.residual_mm.clamp(-most_mm, most_mm)).collect();
         let is_on_wall: Vec<bool> = echoes.iter().map(|echo| is_inlier(echo, wall.noise_mm)).collect();
         let sectors = Sectors::of(&self.seen, &is_on_wall, self.times_s.len());
-        let found_mm = smoother.wall(&residuals_mm)?;
+        let (found_mm, bends) =
+            rayon::join(|| smoother.wall(&residuals_mm), || Bends::drawn(&smoother, BASE_DRAWS));
+        let (found_mm, bends) = (found_mm?, bends?);
         let reach_mm = self.reach_mm(echoes, wall);
         let roughness_for =
-            |descriptions: &[Levels]| self.roughness(&smoother, &found_mm, reach_mm, descriptions);
+            |descriptions: &[Levels]| self.roughness(&smoother, &found_mm, &bends, reach_mm, descriptions);
         let residuals = Residuals { values_mm: &residuals_mm, is_on_wall: &is_on_wall };
-        let descriptions = self.descriptions(&smoother, &sectors, residuals, &roughness_for)?;
+        let descriptions = self.descriptions(&smoother, &sectors, residuals, &bends, &roughness_for)?;
         let Roughness { of_nodes, errors, sums } = roughness_for(&descriptions)?;
 
         // Echoes of the standard deviation σ that err independently give the wall the variance (σℓ)²/16λ.
@@ -280,37 +300,34 @@ impl<'a> Recorded<'a> {
         &self,
         smoother: &Smoother,
         found_mm: &[f64],
+        bends: &[Bends],
         reach_mm: f64,
         descriptions: &[Levels],
     ) -> Result<Roughness> {
-        let fields: Vec<[Vec<f64>; 3]> = (0..ROUGHNESS_DRAWS)
+        let fields: Vec<[Vec<f64>; 2]> = (0..ROUGHNESS_DRAWS)
             .into_par_iter()
             .map(|draw| {
-                let of_errors = || -> Result<[Vec<f64>; 2]> {
-                    let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
-                    let Response { errors_mm, residuals_mm } = smoother.to_errors(&errors_mm)?;
-                    Ok([errors_mm, smoother.wall(&residuals_mm)?])
-                };
-                let of_bends = || smoother.wall(&smoother.to_bends(draw, None)?.residuals_mm);
-                let (of_errors, of_bends) = rayon::join(of_errors, of_bends);
-                let [errors_mm, noise_mm] = of_errors?;
-                Ok([errors_mm, noise_mm, of_bends?])
+                let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
+                let Response { errors_mm, residuals_mm } = smoother.to_errors(&errors_mm)?;
+                Ok([errors_mm, smoother.wall(&residuals_mm)?])
             })
             .collect::<Result<_>>()?;
-        let [errors, noise, bends] = [0, 1, 2].map(|i| mean_squares(fields.iter().map(|field| &field[i])));
+        let [errors, noise] = [0, 1].map(|i| mean_squares(fields.iter().map(|field| &field[i])));
+        let bent = mean_squares(bends.iter().map(|bends| &bends.found_mm));
         let found: Vec<f64> = found_mm.iter().map(|x| x * x).collect();
-        let [found, noise, bends] = self.averaged([&found, &noise, &bends], NODE_REACHES * reach_mm);
+        let [found, noise, bent] = self.averaged([&found, &noise, &bent], NODE_REACHES * reach_mm);
         let ratio = |least: f64, found: f64, noise: f64, bends: f64| {
             let ratio = (found - noise) / bends;
             if ratio.is_finite() { ratio.clamp(least, MAX_RATIO) } else { 1.0 }
         };
         let of_nodes: Vec<f64> =
-            (0..self.grid.node_count()).map(|n| ratio(MIN_RATIO, found[n], noise[n], bends[n])).collect();
+            (0..self.grid.node_count()).map(|n| ratio(MIN_RATIO, found[n], noise[n], bent[n])).collect();
         let weights = gaussian(RING_REACHES * reach_mm / self.grid.step_mm, self.grid.rings);
-        let sums_of = |kind: usize| mean(fields.iter().map(|field| self.squared_sums(&field[kind])));
-        let [found, noise, bends] =
-            [self.squared_sums(found_mm), sums_of(1), sums_of(2)].map(|sums| smoothed_along(&weights, &sums));
-        let sums = (0..self.grid.rings).map(|k| ratio(MIN_SUM, found[k], noise[k], bends[k])).collect();
+        let noise_sums = mean(fields.iter().map(|[_, noise]| self.squared_sums(noise)));
+        let bent_sums = mean(bends.iter().map(|bends| self.squared_sums(&bends.found_mm)));
+        let [found, noise, bent] =
+            [self.squared_sums(found_mm), noise_sums, bent_sums].map(|sums| smoothed_along(&weights, &sums));
+        let sums = (0..self.grid.rings).map(|k| ratio(MIN_SUM, found[k], noise[k], bent[k])).collect();
         Ok(Roughness { of_nodes, errors, sums })
     }
 
@@ -330,6 +347,7 @@ impl<'a> Recorded<'a> {
         smoother: &Smoother,
         sectors: &Sectors,
         residuals: Residuals,
+        bends: &[Bends],
         roughness: &dyn Fn(&[Levels]) -> Result<Roughness>,
     ) -> Result<Vec<Levels>> {
         let found = sectors.sums(residuals.values_mm);
@@ -354,13 +372,14 @@ impl<'a> Recorded<'a> {
             let sums: Vec<Sums> = jobs
                 .par_iter()
                 .map(|&(kind, draw)| {
-                    let Response { residuals_mm, .. } = match kinds[kind] {
-                        Process::Wall => smoother.to_bends(draw, rougher)?,
-                        process => {
+                    let residuals_mm = match (kinds[kind], rougher) {
+                        (Process::Wall, None) => return Ok(sectors.sums(&bends[draw].residuals_mm)),
+                        (Process::Wall, rougher) => smoother.to_bends(draw, rougher)?.residuals_mm,
+                        (process, _) => {
                             let mut errors_mm = vec![0.0; self.seen.len()];
                             let rng = &mut random(draw, first + kind);
                             add_draw(process, 1.0, rng, &self.seen, &self.times_s, &mut errors_mm);
-                            smoother.to_errors(&errors_mm)?
+                            smoother.to_errors(&errors_mm)?.residuals_mm
                         }
                     };
                     Ok(sectors.sums(&residuals_mm))

@@ -91,9 +91,14 @@ pub(super) fn add_draw(
                     series
                 })
                 .collect();
-            for (errors_mm, echoes) in errors_mm.chunks_mut(BLOCK).zip(echoes.chunks(BLOCK)) {
-                add_harmonics(&harmonics, echoes, errors_mm);
-            }
+            pulp::Arch::new().dispatch(
+                #[inline(always)]
+                || {
+                    for (errors_mm, echoes) in errors_mm.chunks_mut(BLOCK).zip(echoes.chunks(BLOCK)) {
+                        add_harmonics(&harmonics, echoes, errors_mm);
+                    }
+                },
+            );
         }
         Process::Beat { order, frequency_hz } => {
             // A cosine and, but for the size, a sine about the lumen, each with a phase of its own.
@@ -114,6 +119,7 @@ pub(super) fn add_draw(
 
 /// Adds the sums over m of `a cos mθ + b sin mθ` to the errors of at most [`BLOCK`] echoes; `harmonics` has a and b of each m,
 /// frame by frame.
+#[inline(always)]
 fn add_harmonics(harmonics: &[Vec<[f64; 2]>], echoes: &[Seen], errors_mm: &mut [f64]) {
     // Of mθ, each turned by θ from the one before.
     let (mut cos, mut sin) = ([1.0; BLOCK], [0.0; BLOCK]);
