@@ -106,12 +106,22 @@ impl Factored {
     }
 }
 
-/// A symmetric matrix with `width` diagonals on either side of the main one, and later the factor L of its `L Lᵀ`.
+/// A symmetric matrix with `width` diagonals on either side of the main one.
 #[derive(Debug, Clone)]
 pub(crate) struct Banded {
     width: usize,
     /// Row after row: the elements from the lowest diagonal to the main one.
     rows: Vec<f64>,
+}
+
+/// The factor L of a [`Banded`] matrix `L Lᵀ`.
+#[derive(Debug, Clone)]
+pub(crate) struct BandedFactor {
+    width: usize,
+    /// Row after row: the elements from the lowest diagonal to the main one.
+    rows: Vec<f64>,
+    /// Column after column: the elements below the main diagonal.
+    columns: Vec<f64>,
 }
 
 impl Banded {
@@ -127,44 +137,54 @@ impl Banded {
 
     /// Its Cholesky factor, with `floor` times the largest element of the diagonal added to that; `None` where the matrix is
     /// not positive definite.
-    pub(crate) fn factored(mut self, floor: f64) -> Option<Self> {
-        let Self { width, rows } = &mut self;
-        let (width, stride) = (*width, *width + 1);
+    pub(crate) fn factored(self, floor: f64) -> Option<BandedFactor> {
+        let Self { width, mut rows } = self;
+        let stride = width + 1;
+        let count = rows.len() / stride;
         let largest = rows.chunks_exact(stride).fold(0.0_f64, |max, row| max.max(row[width]));
-        for i in 0..rows.len() / stride {
+        let mut columns = vec![0.0; count * width];
+        // Products of row i with each row before it, and with itself last. Every element is multiplied by a column as soon as
+        // it is known: sums that do not wait for each other.
+        let mut products = vec![0.0; stride];
+        for i in 0..count {
             let (before, row) = rows.split_at_mut(i * stride);
             let row = &mut row[..stride];
             row[width] += floor * largest;
+            products.fill(0.0);
             for j in i.saturating_sub(width)..i {
-                // Element (i, j): less the product of the rows i and j of L, as far as both reach.
                 let place = width - (i - j);
-                let other = &before[j * stride..(j + 1) * stride];
-                let product: f64 = row[..place].iter().zip(&other[i - j..width]).map(|(a, b)| a * b).sum();
-                row[place] = (row[place] - product) / other[width];
+                let element = (row[place] - products[place]) / before[j * stride + width];
+                row[place] = element;
+                let column = &mut columns[j * width..(j + 1) * width];
+                let rows_after = products[place + 1..width].iter_mut().zip(&*column);
+                rows_after.for_each(|(product, below)| *product += element * below);
+                products[width] += element * element;
+                column[i - j - 1] = element;
             }
-            let rest = row[width] - row[..width].iter().map(|x| x * x).sum::<f64>();
+            let rest = row[width] - products[width];
             if !(rest > 0.0 && rest.is_finite()) {
                 return None;
             }
             row[width] = rest.sqrt();
         }
-        Some(self)
+        Some(BandedFactor { width, rows, columns })
     }
+}
 
-    /// Solves for one right-hand side, in its place, with a factor.
+impl BandedFactor {
+    /// Solves for one right-hand side, in its place.
     pub(crate) fn solve(&self, x: &mut [f64]) {
-        let (width, stride) = (self.width, self.width + 1);
-        let row = |i: usize| &self.rows[i * stride..(i + 1) * stride];
-        for i in 0..x.len() {
-            let first = i.saturating_sub(width);
-            let row = row(i);
-            let product: f64 =
-                row[width - (i - first)..width].iter().zip(&x[first..i]).map(|(l, x)| l * x).sum();
-            x[i] = (x[i] - product) / row[width];
+        let (width, stride, count) = (self.width, self.width + 1, x.len());
+        // By columns, so that no sum waits for its last product.
+        let mut products = vec![0.0; count + width];
+        for (i, column) in (0..count).zip(self.columns.chunks_exact(width)) {
+            x[i] = (x[i] - products[i]) / self.rows[i * stride + width];
+            let below = &mut products[i + 1..=i + width];
+            below.iter_mut().zip(column).for_each(|(product, l)| *product += l * x[i]);
         }
-        for i in (0..x.len()).rev() {
+        for i in (0..count).rev() {
             let first = i.saturating_sub(width);
-            let row = row(i);
+            let row = &self.rows[i * stride..(i + 1) * stride];
             let here = x[i] / row[width];
             x[i] = here;
             x[first..i].iter_mut().zip(&row[width - (i - first)..width]).for_each(|(x, l)| *x -= here * l);

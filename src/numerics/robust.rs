@@ -19,9 +19,9 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
 
 /// As [`median`], of |values|, on all threads.
 pub(crate) fn median_size(values: impl IndexedParallelIterator<Item = f64>) -> f64 {
-    // The sign apart, bits sort like numbers: their top 16 are counted, and those that share the median's are selected from.
-    const SHIFT: u32 = 48;
-    const TASK: usize = 1 << 16;
+    // The sign apart, bits sort like numbers: their top 14 are counted, and those that share the median's are selected from.
+    const SHIFT: u32 = 50;
+    const TASK: usize = 1 << 14;
     let sizes: Vec<f64> = values.map(f64::abs).collect();
     let top = |size: &f64| (size.to_bits() >> SHIFT) as usize;
     let count = |mut counts: Vec<u32>, task: &[f64]| {

@@ -81,10 +81,10 @@ pub struct Beat {
 /// Smallest recording whose errors are estimated: frames, and echoes.
 const MIN_FRAMES: usize = 24;
 const MIN_ECHOES: usize = 500;
-/// Draws of the kinds of errors that every recording has, and of each other kind.
+/// Draws of the kinds of errors that every recording has, the bends behind the roughness among them, and of each other kind.
 const BASE_DRAWS: usize = 3;
 const OTHER_DRAWS: usize = 1;
-/// Draws behind the roughness, and behind the standard errors.
+/// Draws of errors behind the roughness, and behind the standard errors.
 const ROUGHNESS_DRAWS: usize = 3;
 const VARIANCE_DRAWS: usize = 8;
 /// Residuals beyond this many standard deviations of the noise count as that many.
@@ -152,6 +152,24 @@ struct Roughness {
     sums: Vec<f64>,
 }
 
+/// Bends of a wall that is as rough as the smoothing assumes.
+struct Bends {
+    /// The residuals of the echoes that come with them, mm.
+    residuals_mm: Vec<f64>,
+    /// The wall through these, mm.
+    found_mm: Vec<f64>,
+}
+
+impl Bends {
+    fn drawn(smoother: &Smoother, draws: usize) -> Result<Vec<Self>> {
+        let of_draw = |draw| {
+            let Response { residuals_mm, .. } = smoother.to_bends(draw, None)?;
+            Ok(Self { found_mm: smoother.wall(&residuals_mm)?, residuals_mm })
+        };
+        (0..draws).into_par_iter().map(of_draw).collect()
+    }
+}
+
 /// Estimates the errors of a recording, fits the wall again with a smoothness that follows its roughness, and replaces the
 /// standard errors of the nodes. `None`, and no change, where there are too few echoes for it, or they are perfect.
 pub(super) fn estimate(
@@ -204,9 +222,8 @@ impl<'a> Recorded<'a> {
             let next_s = times_s.last().map_or(0.0, |before| before + FRAME_INTERVAL_S);
             times_s.push(frames[k].time_s.unwrap_or(next_s));
         }
-        let seen =
-            |echo: &Echo| Seen { theta_rad: echo.theta_rad(grid.nodes), frame: numbers[echo.frame as usize] };
-        Self { grid, times_s, seen: echoes.iter().map(seen).collect(), supported }
+        let seen = |echo: &Echo| Seen::new(echo.theta_rad(grid.nodes), numbers[echo.frame as usize]);
+        Self { grid, times_s, seen: echoes.par_iter().map(seen).collect(), supported }
     }
 
     /// Median over the rings with supported nodes of the time between the first and the last echo within a distance, s.
@@ -254,12 +271,14 @@ impl<'a> Recorded<'a> {
         let residuals_mm: Vec<f64> = echoes.iter().map(|e| e.residual_mm.clamp(-most_mm, most_mm)).collect();
         let is_on_wall: Vec<bool> = echoes.iter().map(|echo| is_inlier(echo, wall.noise_mm)).collect();
         let sectors = Sectors::of(&self.seen, &is_on_wall, self.times_s.len());
-        let found_mm = smoother.wall(&residuals_mm)?;
+        let (found_mm, bends) =
+            rayon::join(|| smoother.wall(&residuals_mm), || Bends::drawn(&smoother, BASE_DRAWS));
+        let (found_mm, bends) = (found_mm?, bends?);
         let reach_mm = self.reach_mm(echoes, wall);
         let roughness_for =
-            |descriptions: &[Levels]| self.roughness(&smoother, &found_mm, reach_mm, descriptions);
+            |descriptions: &[Levels]| self.roughness(&smoother, &found_mm, &bends, reach_mm, descriptions);
         let residuals = Residuals { values_mm: &residuals_mm, is_on_wall: &is_on_wall };
-        let descriptions = self.descriptions(&smoother, &sectors, residuals, &roughness_for)?;
+        let descriptions = self.descriptions(&smoother, &sectors, residuals, &bends, &roughness_for)?;
         let Roughness { of_nodes, errors, sums } = roughness_for(&descriptions)?;
 
         // Echoes of the standard deviation σ that err independently give the wall the variance (σℓ)²/16λ.
@@ -281,33 +300,34 @@ impl<'a> Recorded<'a> {
         &self,
         smoother: &Smoother,
         found_mm: &[f64],
+        bends: &[Bends],
         reach_mm: f64,
         descriptions: &[Levels],
     ) -> Result<Roughness> {
-        let fields: Vec<[Vec<f64>; 3]> = (0..ROUGHNESS_DRAWS)
+        let fields: Vec<[Vec<f64>; 2]> = (0..ROUGHNESS_DRAWS)
             .into_par_iter()
             .map(|draw| {
                 let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
                 let Response { errors_mm, residuals_mm } = smoother.to_errors(&errors_mm)?;
-                let of_bends = smoother.wall(&smoother.to_bends(draw, None)?.residuals_mm)?;
-                Ok([errors_mm, smoother.wall(&residuals_mm)?, of_bends])
+                Ok([errors_mm, smoother.wall(&residuals_mm)?])
             })
             .collect::<Result<_>>()?;
-        let [errors, noise, bends] = [0, 1, 2].map(|i| mean_squares(fields.iter().map(|field| &field[i])));
+        let [errors, noise] = [0, 1].map(|i| mean_squares(fields.iter().map(|field| &field[i])));
+        let bent = mean_squares(bends.iter().map(|bends| &bends.found_mm));
         let found: Vec<f64> = found_mm.iter().map(|x| x * x).collect();
-        let about = [found, noise, bends].map(|field| self.averaged(&field, NODE_REACHES * reach_mm));
+        let [found, noise, bent] = self.averaged([&found, &noise, &bent], NODE_REACHES * reach_mm);
         let ratio = |least: f64, found: f64, noise: f64, bends: f64| {
             let ratio = (found - noise) / bends;
             if ratio.is_finite() { ratio.clamp(least, MAX_RATIO) } else { 1.0 }
         };
-        let [found, noise, bends] = &about;
         let of_nodes: Vec<f64> =
-            (0..self.grid.node_count()).map(|n| ratio(MIN_RATIO, found[n], noise[n], bends[n])).collect();
+            (0..self.grid.node_count()).map(|n| ratio(MIN_RATIO, found[n], noise[n], bent[n])).collect();
         let weights = gaussian(RING_REACHES * reach_mm / self.grid.step_mm, self.grid.rings);
-        let sums_of = |kind: usize| mean(fields.iter().map(|field| self.squared_sums(&field[kind])));
-        let [found, noise, bends] =
-            [self.squared_sums(found_mm), sums_of(1), sums_of(2)].map(|sums| smoothed_along(&weights, &sums));
-        let sums = (0..self.grid.rings).map(|k| ratio(MIN_SUM, found[k], noise[k], bends[k])).collect();
+        let noise_sums = mean(fields.iter().map(|[_, noise]| self.squared_sums(noise)));
+        let bent_sums = mean(bends.iter().map(|bends| self.squared_sums(&bends.found_mm)));
+        let [found, noise, bent] =
+            [self.squared_sums(found_mm), noise_sums, bent_sums].map(|sums| smoothed_along(&weights, &sums));
+        let sums = (0..self.grid.rings).map(|k| ratio(MIN_SUM, found[k], noise[k], bent[k])).collect();
         Ok(Roughness { of_nodes, errors, sums })
     }
 
@@ -327,6 +347,7 @@ impl<'a> Recorded<'a> {
         smoother: &Smoother,
         sectors: &Sectors,
         residuals: Residuals,
+        bends: &[Bends],
         roughness: &dyn Fn(&[Levels]) -> Result<Roughness>,
     ) -> Result<Vec<Levels>> {
         let found = sectors.sums(residuals.values_mm);
@@ -351,13 +372,14 @@ impl<'a> Recorded<'a> {
             let sums: Vec<Sums> = jobs
                 .par_iter()
                 .map(|&(kind, draw)| {
-                    let Response { residuals_mm, .. } = match kinds[kind] {
-                        Process::Wall => smoother.to_bends(draw, rougher)?,
-                        process => {
+                    let residuals_mm = match (kinds[kind], rougher) {
+                        (Process::Wall, None) => return Ok(sectors.sums(&bends[draw].residuals_mm)),
+                        (Process::Wall, rougher) => smoother.to_bends(draw, rougher)?.residuals_mm,
+                        (process, _) => {
                             let mut errors_mm = vec![0.0; self.seen.len()];
                             let rng = &mut random(draw, first + kind);
                             add_draw(process, 1.0, rng, &self.seen, &self.times_s, &mut errors_mm);
-                            smoother.to_errors(&errors_mm)?
+                            smoother.to_errors(&errors_mm)?.residuals_mm
                         }
                     };
                     Ok(sectors.sums(&residuals_mm))
@@ -437,7 +459,7 @@ impl<'a> Recorded<'a> {
         let mut sums = vec![[0.0; 3]; self.times_s.len()];
         let mut counts = vec![0.0_f64; self.times_s.len()];
         for ((seen, residual), _) in self.seen.iter().zip(values_mm).zip(is_on_wall).filter(|(_, on)| **on) {
-            let (sin, cos) = seen.theta_rad.sin_cos();
+            let [cos, sin] = seen.direction;
             let frame = seen.frame as usize;
             sums[frame].iter_mut().zip([1.0, cos, sin]).for_each(|(sum, part)| *sum += part * residual);
             counts[frame] += 1.0;
@@ -477,13 +499,16 @@ impl<'a> Recorded<'a> {
             .into_par_iter()
             .map(|draw| {
                 let draw = ROUGHNESS_DRAWS + draw;
-                let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
-                Ok([smoother.wall(&errors_mm)?, smoother.to_bends(draw, None)?.errors_mm])
+                let (of_errors, of_bends) = rayon::join(
+                    || smoother.wall(&self.drawn(&descriptions[draw % descriptions.len()], draw)),
+                    || smoother.to_bends(draw, None),
+                );
+                Ok([of_errors?, of_bends?.errors_mm])
             })
             .collect::<Result<_>>()?;
         let reach_mm = VARIANCE_REACHES * self.reach_mm(echoes, wall);
-        let noise = self.averaged(&mean_squares(fields.iter().map(|[noise, _]| noise)), reach_mm);
-        let bends = self.averaged(&mean_squares(fields.iter().map(|[_, bends]| bends)), reach_mm);
+        let [noise, bends] = [0, 1].map(|kind| mean_squares(fields.iter().map(|field| &field[kind])));
+        let [noise, bends] = self.averaged([&noise, &bends], reach_mm);
         let WallGrid { nodes, rings, arc_mm, .. } = *self.grid;
         let roughness_of = |n: usize| of_nodes[n].max(MIN_NODE) / of_rings[n / nodes];
         let variance = |n: usize| noise[n] + bends[n] * roughness_of(n);
@@ -514,13 +539,18 @@ impl<'a> Recorded<'a> {
     }
 
     /// Means about every node, of supported nodes if it is one itself, with Gaussian weights of a standard deviation.
-    fn averaged(&self, values: &[f64], sd_mm: f64) -> Vec<f64> {
+    fn averaged<const N: usize>(&self, fields: [&[f64]; N], sd_mm: f64) -> [Vec<f64>; N] {
         let weights: Vec<f64> = self.supported.iter().map(|&s| f64::from(u8::from(s))).collect();
-        let of_supported: Vec<f64> = values.iter().zip(&weights).map(|(v, w)| v * w).collect();
         let smooth = |values: &[f64]| self.smoothed(values, sd_mm);
-        let (all, of_supported, weights) = (smooth(values), smooth(&of_supported), smooth(&weights));
-        let mean = |n: usize| if self.supported[n] { of_supported[n] / weights[n] } else { all[n] };
-        (0..values.len()).map(mean).collect()
+        let shares = smooth(&weights);
+        fields.map(|values| {
+            let of_supported: Vec<f64> = values.iter().zip(&weights).map(|(v, w)| v * w).collect();
+            let (mut means, of_supported) = rayon::join(|| smooth(values), || smooth(&of_supported));
+            for node in (0..means.len()).filter(|&n| self.supported[n]) {
+                means[node] = of_supported[node] / shares[node];
+            }
+            means
+        })
     }
 
     /// Sums with Gaussian weights of a standard deviation, which add up to 1 where rings do not end.
@@ -537,12 +567,16 @@ impl<'a> Recorded<'a> {
             }
         });
         let mut smoothed = vec![0.0; values.len()];
-        smoothed.par_chunks_exact_mut(nodes).zip(columns.par_chunks_exact(nodes)).for_each(|(out, ring)| {
+        // The weights of fewer nodes than half a ring's.
+        let reach = around.len() - 1;
+        let tasks = smoothed.par_chunks_exact_mut(nodes).zip(columns.par_chunks_exact(nodes));
+        tasks.for_each_init(Vec::new, |round: &mut Vec<f64>, (out, ring)| {
+            round.clear();
+            round.extend(ring[nodes - reach..].iter().chain(ring).chain(&ring[..reach]));
             for (offset, weight) in around.iter().enumerate() {
-                for (j, out) in out.iter_mut().enumerate() {
-                    let after = ring[(j + offset) % nodes];
-                    let before = ring[(j + nodes - offset) % nodes];
-                    *out += weight * if offset == 0 { after } else { after + before };
+                let (after, before) = (&round[reach + offset..], &round[reach - offset..]);
+                for ((out, after), before) in out.iter_mut().zip(after).zip(before) {
+                    *out += weight * if offset == 0 { *after } else { after + before };
                 }
             }
         });

@@ -40,12 +40,24 @@ pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// Where and when an echo was seen: its angle about the axis, and its frame, counted among those with echoes.
+/// Where and when an echo was seen: its angle about the axis, with its cosine and sine, and its frame, counted among those
+/// with echoes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Seen {
     pub theta_rad: f64,
+    pub direction: [f64; 2],
     pub frame: u32,
 }
+
+impl Seen {
+    pub(super) fn new(theta_rad: f64, frame: u32) -> Self {
+        let (sin, cos) = theta_rad.sin_cos();
+        Self { theta_rad, direction: [cos, sin], frame }
+    }
+}
+
+/// Echoes whose harmonics are computed side by side.
+const BLOCK: usize = 256;
 
 /// Adds a draw of a process, times `sd_mm`, to the errors of the echoes. `times_s` are those of the frames. The bends of a
 /// wall are drawn elsewhere: they are no errors of echoes.
@@ -60,25 +72,33 @@ pub(super) fn add_draw(
     match process {
         Process::Ray => errors_mm.iter_mut().for_each(|error| *error += sd_mm * normal(rng)),
         Process::Shift { correlation_s } => {
-            let series = [0; 2].map(|_| series(rng, times_s, correlation_s));
+            let series = pair(rng, &memories(times_s, correlation_s));
             for (error, echo) in errors_mm.iter_mut().zip(echoes) {
-                let (sin, cos) = echo.theta_rad.sin_cos();
-                let frame = echo.frame as usize;
-                *error += sd_mm * (cos * series[0][frame] + sin * series[1][frame]);
+                let ([cos, sin], [a, b]) = (echo.direction, series[echo.frame as usize]);
+                *error += sd_mm * (cos * a + sin * b);
             }
         }
         Process::Contour { width_rad, correlation_s } => {
             let amplitude = |m: usize| (-0.5 * (0.5 * m as f64 * width_rad).powi(2)).exp();
             let amplitudes: Vec<f64> = (0..).map(amplitude).take_while(|a| *a > MIN_AMPLITUDE).collect();
             let scale = sd_mm / amplitudes.iter().map(|a| a * a).sum::<f64>().sqrt();
-            for (m, amplitude) in amplitudes.iter().enumerate() {
-                let series = [0; 2].map(|_| series(rng, times_s, correlation_s));
-                for (error, echo) in errors_mm.iter_mut().zip(echoes) {
-                    let (sin, cos) = (m as f64 * echo.theta_rad).sin_cos();
-                    let frame = echo.frame as usize;
-                    *error += scale * amplitude * (cos * series[0][frame] + sin * series[1][frame]);
-                }
-            }
+            let memories = memories(times_s, correlation_s);
+            let harmonics: Vec<Vec<[f64; 2]>> = amplitudes
+                .iter()
+                .map(|amplitude| {
+                    let mut series = pair(rng, &memories);
+                    series.as_flattened_mut().iter_mut().for_each(|x| *x *= scale * amplitude);
+                    series
+                })
+                .collect();
+            pulp::Arch::new().dispatch(
+                #[inline(always)]
+                || {
+                    for (errors_mm, echoes) in errors_mm.chunks_mut(BLOCK).zip(echoes.chunks(BLOCK)) {
+                        add_harmonics(&harmonics, echoes, errors_mm);
+                    }
+                },
+            );
         }
         Process::Beat { order, frequency_hz } => {
             // A cosine and, but for the size, a sine about the lumen, each with a phase of its own.
@@ -88,12 +108,30 @@ pub(super) fn add_draw(
                 times_s.iter().map(at).collect::<Vec<f64>>()
             });
             for (error, echo) in errors_mm.iter_mut().zip(echoes) {
-                let (sin, cos) = (f64::from(order) * echo.theta_rad).sin_cos();
+                let [cos, sin] = if order == 0 { [1.0, 0.0] } else { echo.direction };
                 let frame = echo.frame as usize;
                 *error += sd_mm * (cos * series[0][frame] + sin * series[1][frame]);
             }
         }
         Process::Wall => (),
+    }
+}
+
+/// Adds the sums over m of `a cos mθ + b sin mθ` to the errors of at most [`BLOCK`] echoes; `harmonics` has a and b of each m,
+/// frame by frame.
+#[inline(always)]
+fn add_harmonics(harmonics: &[Vec<[f64; 2]>], echoes: &[Seen], errors_mm: &mut [f64]) {
+    // Of mθ, each turned by θ from the one before.
+    let (mut cos, mut sin) = ([1.0; BLOCK], [0.0; BLOCK]);
+    for of_frames in harmonics {
+        for (((error, echo), cos), sin) in errors_mm.iter_mut().zip(echoes).zip(&cos).zip(&sin) {
+            let [a, b] = of_frames[echo.frame as usize];
+            *error += cos * a + sin * b;
+        }
+        for ((cos, sin), echo) in cos.iter_mut().zip(&mut sin).zip(echoes) {
+            let [x, y] = echo.direction;
+            (*cos, *sin) = (*cos * x - *sin * y, *sin * x + *cos * y);
+        }
     }
 }
 
@@ -103,6 +141,8 @@ const MIN_PERIODS: f64 = 4.0;
 const MIN_POWER: f64 = 20.0;
 /// Frames that are looked at, from the middle of the recording: the work grows with their square.
 const MAX_FRAMES: usize = 4096;
+/// Frequencies of a parallel task, one after the other: waves are turned from one to the next.
+const FREQUENCIES: usize = 64;
 
 /// The frequency at which values of the frames oscillate, Hz, if one stands out in the sum of their powers.
 pub(super) fn frequency_hz(times_s: &[f64], values: &[&[f64]]) -> Option<f64> {
@@ -116,42 +156,69 @@ pub(super) fn frequency_hz(times_s: &[f64], values: &[&[f64]]) -> Option<f64> {
     if span_s.is_nan() || span_s <= 0.0 {
         return None;
     }
-    let power = |step: usize| -> f64 {
-        let turns = 0.5 * step as f64 / span_s;
-        let of = |values: &&[f64]| {
-            let [re, im] = times_s.iter().zip(&values[from..]).fold([0.0; 2], |[re, im], (t, value)| {
-                let (sin, cos) = (TAU * turns * t).sin_cos();
-                [re + value * cos, im + value * sin]
-            });
-            re * re + im * im
+    let wave = |turns: f64| -> Vec<[f64; 2]> {
+        let at = |t: &f64| {
+            let (sin, cos) = (TAU * turns * t).sin_cos();
+            [cos, sin]
         };
-        values.iter().map(of).sum()
+        times_s.iter().map(at).collect()
     };
     let least = (2.0 * MIN_PERIODS) as usize;
-    let powers: Vec<f64> = (least..steps.max(least)).into_par_iter().map(power).collect();
+    let of_step = wave(0.5 / span_s);
+    let powers_of = |first: usize| -> Vec<f64> {
+        let mut waves = wave(0.5 * first as f64 / span_s);
+        let power = |waves: &[[f64; 2]], values: &[f64]| {
+            let [re, im] = waves
+                .iter()
+                .zip(values)
+                .fold([0.0; 2], |[re, im], ([cos, sin], value)| [re + value * cos, im + value * sin]);
+            re * re + im * im
+        };
+        (first..(first + FREQUENCIES).min(steps))
+            .map(|_| {
+                let sum = values.iter().map(|values| power(&waves, &values[from..])).sum();
+                for ([cos, sin], [x, y]) in waves.iter_mut().zip(&of_step) {
+                    (*cos, *sin) = (*cos * x - *sin * y, *sin * x + *cos * y);
+                }
+                sum
+            })
+            .collect()
+    };
+    let firsts: Vec<usize> = (least..steps).step_by(FREQUENCIES).collect();
+    let powers: Vec<f64> = firsts.into_par_iter().flat_map_iter(powers_of).collect();
     let mean = powers.iter().sum::<f64>() / powers.len().max(1) as f64;
     let best = (0..powers.len()).max_by(|&a, &b| powers[a].total_cmp(&powers[b]).then(b.cmp(&a)))?;
     (powers[best] > MIN_POWER * mean).then(|| 0.5 * (least + best) as f64 / span_s)
 }
 
-/// A stationary series of unit variance with the correlation `exp(-Δt/correlation_s)`.
-fn series(rng: &mut ChaCha8Rng, times_s: &[f64], correlation_s: f64) -> Vec<f64> {
+/// Of every frame: what remains of the error before, `exp(-Δt/correlation_s)`, and the standard deviation of what is new.
+fn memories(times_s: &[f64], correlation_s: f64) -> Vec<[f64; 2]> {
     let mut before = None;
+    let memory = |&time_s: &f64| {
+        let kept = match before {
+            Some(before) if correlation_s > 0.0 => (-f64::max(time_s - before, 0.0) / correlation_s).exp(),
+            _ => 0.0,
+        };
+        before = Some(time_s);
+        [kept, (1.0 - kept * kept).sqrt()]
+    };
+    times_s.iter().map(memory).collect()
+}
+
+/// A stationary series of unit variance.
+fn series(rng: &mut ChaCha8Rng, memories: &[[f64; 2]]) -> impl Iterator<Item = f64> {
     let mut value = 0.0;
-    times_s
-        .iter()
-        .map(|&time_s| {
-            let kept = match before {
-                Some(before) if correlation_s > 0.0 => {
-                    (-f64::max(time_s - before, 0.0) / correlation_s).exp()
-                }
-                _ => 0.0,
-            };
-            before = Some(time_s);
-            value = kept * value + (1.0 - kept * kept).sqrt() * normal(rng);
-            value
-        })
-        .collect()
+    memories.iter().map(move |[kept, new]| {
+        value = kept * value + new * normal(rng);
+        value
+    })
+}
+
+/// Two such series.
+fn pair(rng: &mut ChaCha8Rng, memories: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let mut both: Vec<[f64; 2]> = series(rng, memories).map(|first| [first, 0.0]).collect();
+    both.iter_mut().zip(series(rng, memories)).for_each(|(both, second)| both[1] = second);
+    both
 }
 
 #[cfg(test)]
@@ -175,10 +242,42 @@ mod tests {
     }
 
     #[test]
+    fn errors_of_contours_have_unit_variance_and_their_width() {
+        // Echoes of 400 frames at the angles 0, 0.3 rad, …, 2.7 rad.
+        let seen: Vec<Seen> = (0..4000).map(|i| Seen::new(0.3 * f64::from(i % 10), i / 10)).collect();
+        let times_s: Vec<f64> = (0..400).map(f64::from).collect();
+        for width_rad in [0.35, 0.7] {
+            let mut errors_mm = vec![0.0; 4000];
+            let kind = Process::Contour { width_rad, correlation_s: 0.0 };
+            add_draw(kind, 2.0, &mut random(0, 3), &seen, &times_s, &mut errors_mm);
+            let covariance = |apart: usize| {
+                let products = errors_mm.chunks_exact(10).map(|frame| frame[0] * frame[apart]);
+                products.sum::<f64>() / 400.0
+            };
+            for apart in [0, 1, 9] {
+                // Amplitudes exp(-(mw)²/8) are a Gaussian covariance exp(-(θ/w)²).
+                let expected = 4.0 * (-(0.3 * apart as f64 / width_rad).powi(2)).exp();
+                assert!((covariance(apart) - expected).abs() < 0.7, "{apart}: {}", covariance(apart));
+            }
+        }
+        // Harmonics that are turned on from each other are those of the angles.
+        let harmonics: Vec<Vec<[f64; 2]>> = (0..30).map(|m| vec![[1.0, f64::from(m)]; 400]).collect();
+        let mut errors_mm = vec![0.0; BLOCK];
+        add_harmonics(&harmonics, &seen[..BLOCK], &mut errors_mm);
+        for (error, echo) in errors_mm.iter().zip(&seen) {
+            let of = |m: i32| {
+                let angle = f64::from(m) * echo.theta_rad;
+                angle.cos() + f64::from(m) * angle.sin()
+            };
+            assert!((error - (0..30).map(of).sum::<f64>()).abs() < 1e-10);
+        }
+    }
+
+    #[test]
     fn a_series_forgets_over_its_correlation_time() {
         let times_s: Vec<f64> = (0..200_000).map(|k| 0.1 * f64::from(k)).collect();
         for correlation_s in [0.0, 0.2, 1.0] {
-            let series = series(&mut random(0, 3), &times_s, correlation_s);
+            let series: Vec<f64> = series(&mut random(0, 3), &memories(&times_s, correlation_s)).collect();
             let covariance = |lag: usize| {
                 let products = series.iter().zip(&series[lag..]).map(|(a, b)| a * b);
                 products.sum::<f64>() / (series.len() - lag) as f64

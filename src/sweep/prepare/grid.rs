@@ -69,7 +69,7 @@ impl WallGrid {
     pub(in crate::sweep) fn corners(&self, ring: f64, node: f64) -> Corners {
         let below = (ring.max(0.0) as usize).min(self.rings - 2);
         let up = (ring - below as f64).clamp(0.0, 1.0);
-        let around = node.rem_euclid(self.nodes as f64);
+        let around = around(node, self.nodes as f64);
         let j = (around as usize).min(self.nodes - 1);
         let round = (around - j as f64).clamp(0.0, 1.0);
         let next = if j + 1 == self.nodes { 0 } else { j + 1 };
@@ -102,7 +102,9 @@ impl WallGrid {
         reach: SlopeReach,
     ) -> [f64; 2] {
         let (level, j) = (corners.nodes[0] / self.nodes, corners.nodes[0] % self.nodes);
-        let at = |ring: usize, node: usize| radii_mm[ring * self.nodes + node % self.nodes];
+        // At most one turn too far: cheaper than a remainder.
+        let on_ring = |node: usize| if node < self.nodes { node } else { node - self.nodes };
+        let at = |ring: usize, node: usize| radii_mm[ring * self.nodes + on_ring(node)];
         let (ring, node) = if corners.bottom { (level, j + 1) } else { (level + 1, j) };
         let around = at(ring, j + 1 + reach.nodes) - at(ring, j + self.nodes - reach.nodes);
         let (low, high) = (level.saturating_sub(reach.rings), (level + 1 + reach.rings).min(self.rings - 1));
@@ -131,9 +133,27 @@ impl WallGrid {
     }
 }
 
+/// `node.rem_euclid(nodes)`, to the bit; most nodes are at most one turn away.
+fn around(node: f64, nodes: f64) -> f64 {
+    if (0.0..nodes).contains(&node) {
+        node
+    } else if -nodes < node && node < 0.0 {
+        node + nodes
+    } else {
+        node.rem_euclid(nodes)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn nodes_are_taken_onto_the_ring_as_by_a_remainder() {
+        for node in [0.0, -0.0, 7.9, 8.0, -1e-300, -0.2, -7.999, -8.0, -8.5, 31.0, f64::NAN] {
+            assert_eq!(around(node, 8.0).to_bits(), f64::rem_euclid(node, 8.0).to_bits(), "{node}");
+        }
+    }
 
     #[test]
     fn a_place_is_the_weighted_mean_of_its_corners() {

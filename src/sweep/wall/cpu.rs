@@ -27,13 +27,7 @@ impl<'a> CpuWallEngine<'a> {
         let parts: Vec<Equations> = echoes
             .par_chunks_mut(TASK)
             .map(|task| {
-                let rings = task.iter().map(|e| e.projection().0);
-                let last = grid.rings - 2;
-                let (low, high) = rings.fold((last, 0), |(low, high), ring| {
-                    let below = (ring.max(0.0) as usize).min(last);
-                    (low.min(below), high.max(below))
-                });
-                let mut sums = Equations::over(grid, low..high + 2);
+                let mut sums = Equations::about(grid, task);
                 let model = wall.residual_model(grid);
                 for echo in task {
                     let (ring, node) = echo.projection();

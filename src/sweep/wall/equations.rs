@@ -1,5 +1,6 @@
 //! The least-squares equations of a wall.
 
+use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::{Corners, WallGrid};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -24,6 +25,15 @@ impl Equations {
     pub(in crate::sweep) fn over(grid: &WallGrid, rings: Range<usize>) -> Self {
         let first = rings.start * grid.nodes;
         Self { first, rows: vec![[0.0; 5]; rings.len() * grid.nodes] }
+    }
+
+    /// No points yet, over the rings that the projections of echoes lie between.
+    pub(in crate::sweep) fn about(grid: &WallGrid, echoes: &[Echo]) -> Self {
+        let last = grid.rings - 2;
+        let below = |echo: &Echo| (echo.projection().0.max(0.0) as usize).min(last);
+        let (low, high) =
+            echoes.iter().map(below).fold((last, 0), |(low, high), below| (low.min(below), high.max(below)));
+        Self::over(grid, low..high + 2)
     }
 
     /// Whether they are those of these rings of a grid.

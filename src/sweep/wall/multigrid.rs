@@ -5,10 +5,11 @@
 //! the bending alone determines (A. Brandt, *Multi-level adaptive solutions to boundary-value problems*, Mathematics of
 //! Computation 31, 1977; W. L. Briggs, V. E. Henson, S. F. McCormick, *A Multigrid Tutorial*, 2000).
 
-use super::operator::Operator;
-use crate::numerics::banded::Banded;
+use super::operator::{Operator, for_each, split, with_windows};
+use crate::numerics::banded::{Banded, BandedFactor};
 use crate::sweep::prepare::grid::WallGrid;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// A grid of at most this many nodes per ring is solved by factors.
 const COARSEST_NODES: usize = 12;
@@ -31,21 +32,21 @@ pub(super) struct Multigrid<'a> {
     /// Inverse diagonals, and the way to the next coarser grid, of all but the coarsest.
     inverses: Vec<Vec<f64>>,
     transfers: Vec<Transfer>,
-    factored: Banded,
+    factored: BandedFactor,
 }
 
-/// Vectors of one level: right-hand side, values, and room.
+/// Vectors of one level: right-hand side and values, but on the finest grid, and the values on the way down.
 pub(super) struct Room {
     right: Vec<f64>,
     values: Vec<f64>,
-    other: Vec<f64>,
+    before: Vec<f64>,
 }
 
 impl<'a> Multigrid<'a> {
     /// `None` where the matrix is not positive definite.
     pub(super) fn of(finest: &'a Operator) -> Option<Self> {
         let mut coarser: Vec<Operator> = Vec::new();
-        let (mut inverses, mut transfers) = (Vec::new(), Vec::new());
+        let mut transfers = Vec::new();
         let mut weights = finest.lumped_weights();
         loop {
             let operator = coarser.last().unwrap_or(finest);
@@ -53,8 +54,6 @@ impl<'a> Multigrid<'a> {
                 break;
             }
             let grid = coarsened(&operator.grid);
-            let diagonal = operator.diagonal();
-            inverses.push(diagonal.into_par_iter().with_min_len(TASK_NODES).map(f64::recip).collect());
             let transfer = Transfer::between(&operator.grid, &grid);
             let mut fewer = vec![0.0; grid.node_count()];
             transfer.restrict(&weights, &mut fewer);
@@ -64,15 +63,25 @@ impl<'a> Multigrid<'a> {
             transfers.push(transfer);
             coarser.push(next);
         }
-        let factored = factored(coarser.last().unwrap_or(finest), &weights)?;
-        Some(Self { finest, coarser, inverses, transfers, factored })
+        let coarsest = coarser.last().unwrap_or(finest);
+        let inverse = |level: usize| {
+            let operator = if level == 0 { finest } else { &coarser[level - 1] };
+            operator.diagonal().into_par_iter().with_min_len(TASK_NODES).map(f64::recip).collect()
+        };
+        let (factored, inverses) = rayon::join(
+            || factored(coarsest, &weights),
+            || (0..transfers.len()).into_par_iter().map(inverse).collect(),
+        );
+        Some(Self { finest, factored: factored?, coarser, inverses, transfers })
     }
 
     /// Room for [`precondition`](Self::precondition).
     pub(super) fn room(&self) -> Vec<Room> {
-        let grids = std::iter::once(self.finest).chain(&self.coarser);
         let zeros = |operator: &Operator| vec![0.0; operator.grid.node_count()];
-        grids.map(|o| Room { right: zeros(o), values: zeros(o), other: zeros(o) }).collect()
+        let finest = Room { right: Vec::new(), values: Vec::new(), before: zeros(self.finest) };
+        let coarser =
+            self.coarser.iter().map(|o| Room { right: zeros(o), values: zeros(o), before: zeros(o) });
+        std::iter::once(finest).chain(coarser).collect()
     }
 
     /// An approximate solution for `right`.
@@ -81,29 +90,121 @@ impl<'a> Multigrid<'a> {
     }
 
     fn cycle(&self, level: usize, right: &[f64], values: &mut [f64], room: &mut [Room]) {
-        let Some(transfer) = self.transfers.get(level) else {
+        if self.transfers.get(level).is_none() {
             values.copy_from_slice(right);
             self.factored.solve(values);
             return;
-        };
-        let operator = if level == 0 { self.finest } else { &self.coarser[level - 1] };
-        let inverse = &self.inverses[level];
-        let [first, second] = RELAXATIONS;
+        }
         let (here, coarser) = room.split_at_mut(1);
-        let other = &mut here[0].other;
-        // From zero.
-        let values_of = other.par_iter_mut().with_min_len(TASK_NODES).zip(inverse).zip(right);
-        values_of.for_each(|((other, inverse), right)| *other = first * inverse * right);
-        operator.relax(right, other, second, inverse, values);
-        operator.residual(right, values, other);
+        let before = &mut here[0].before;
         let (mut right_there, mut there) =
             (std::mem::take(&mut coarser[0].right), std::mem::take(&mut coarser[0].values));
-        transfer.restrict(other, &mut right_there);
+        self.descend(level, right, before, &mut right_there);
         self.cycle(level + 1, &right_there, &mut there, coarser);
-        transfer.prolong(&there, values);
+        self.ascend(level, right, before, &there, values);
         (coarser[0].right, coarser[0].values) = (right_there, there);
-        operator.relax(right, values, second, inverse, other);
-        operator.relax(right, other, first, inverse, values);
+    }
+
+    fn operator(&self, level: usize) -> &Operator {
+        if level == 0 { self.finest } else { &self.coarser[level - 1] }
+    }
+
+    /// Two relaxations from zero, and the residual on the next coarser grid. A task does all of it for some rings, and once
+    /// more for those beside them that its own depend on: threads meet once, not four times.
+    fn descend(&self, level: usize, right: &[f64], values: &mut [f64], right_there: &mut [f64]) {
+        let (operator, inverse) = (self.operator(level), &self.inverses[level]);
+        let (grid, there) = (&operator.grid, &self.operator(level + 1).grid);
+        let transfer = &self.transfers[level];
+        let nodes = grid.nodes;
+        let [first, second] = RELAXATIONS;
+        let fine: Vec<Range<usize>> = grid.bands();
+        let starts: Vec<usize> = fine.iter().map(|band| transfer.rings.first_from(band.start)).collect();
+        let ends = starts.iter().skip(1).copied().chain([there.rings]);
+        let coarse: Vec<Range<usize>> = starts.iter().zip(ends).map(|(start, end)| *start..end).collect();
+        let values = split(values, nodes, fine.iter().cloned());
+        let right_there = split(right_there, there.nodes, coarse.iter().cloned());
+        let tasks = fine.into_iter().zip(coarse).zip(values.into_iter().zip(right_there)).collect();
+        for_each(tasks, |((fine, coarse), (values, right_there))| {
+            with_windows(
+                #[inline(always)]
+                |[a, b]| {
+                    let needed = transfer.rings.needed_for(coarse.clone(), &fine);
+                    a.fill(
+                        nodes,
+                        grid.wider(&needed, 4),
+                        #[inline(always)]
+                        |k, ring| {
+                            let (right, inverse) = (&right[k * nodes..], &inverse[k * nodes..]);
+                            for ((x, inverse), right) in ring.iter_mut().zip(inverse).zip(right) {
+                                *x = first * inverse * right;
+                            }
+                        },
+                    );
+                    b.fill(
+                        nodes,
+                        grid.wider(&needed, 2),
+                        #[inline(always)]
+                        |k, ring| operator.relax(k, right, a, (second, inverse), ring),
+                    );
+                    for (k, values) in fine.zip(values.chunks_exact_mut(nodes)) {
+                        values.copy_from_slice(b.ring(k));
+                    }
+                    a.fill(
+                        nodes,
+                        needed,
+                        #[inline(always)]
+                        |k, ring| operator.residual(k, right, b, ring),
+                    );
+                    let mut sum = vec![0.0; nodes];
+                    for (k, right_there) in coarse.zip(right_there.chunks_exact_mut(there.nodes)) {
+                        transfer.restrict_ring(
+                            k,
+                            #[inline(always)]
+                            |from| a.ring(from),
+                            &mut sum,
+                            right_there,
+                        );
+                    }
+                },
+            );
+        });
+    }
+
+    /// The correction by the next coarser grid, and two relaxations; `before` are the values on the way down.
+    fn ascend(&self, level: usize, right: &[f64], before: &[f64], coarse: &[f64], values: &mut [f64]) {
+        let (operator, inverse, transfer) =
+            (self.operator(level), &self.inverses[level], &self.transfers[level]);
+        let grid = &operator.grid;
+        let nodes = grid.nodes;
+        let [first, second] = RELAXATIONS;
+        let bands = grid.bands();
+        let values = split(values, nodes, bands.iter().cloned());
+        for_each(bands.into_iter().zip(values).collect(), |(band, values)| {
+            with_windows(
+                #[inline(always)]
+                |[a, b]| {
+                    let mut between = vec![0.0; transfer.nodes.to_coarse.len()];
+                    a.fill(
+                        nodes,
+                        grid.wider(&band, 4),
+                        #[inline(always)]
+                        |k, ring| {
+                            ring.copy_from_slice(&before[k * nodes..][..nodes]);
+                            transfer.prolong_ring(k, coarse, &mut between, ring);
+                        },
+                    );
+                    b.fill(
+                        nodes,
+                        grid.wider(&band, 2),
+                        #[inline(always)]
+                        |k, ring| operator.relax(k, right, a, (second, inverse), ring),
+                    );
+                    for (k, values) in band.zip(values.chunks_exact_mut(nodes)) {
+                        operator.relax(k, right, b, (first, inverse), values);
+                    }
+                },
+            );
+        });
     }
 }
 
@@ -124,7 +225,7 @@ pub(super) fn coarsened(grid: &WallGrid) -> WallGrid {
 }
 
 /// The factors of a grid with few nodes per ring, with these weights of the echoes at its nodes.
-fn factored(operator: &Operator, weights: &[f64]) -> Option<Banded> {
+fn factored(operator: &Operator, weights: &[f64]) -> Option<BandedFactor> {
     let WallGrid { rings, nodes, .. } = operator.grid;
     let mut matrix = Banded::zeros(rings * nodes, 2 * nodes);
     for (node, weight) in weights.iter().enumerate() {
@@ -160,36 +261,40 @@ impl Transfer {
         let tasks = coarse.par_chunks_mut(narrow).with_min_len(TASK_NODES.div_ceil(wide)).enumerate();
         tasks.for_each_init(
             || vec![0.0; wide],
-            |sum, (k, ring)| {
-                sum.fill(0.0);
-                for &(from, weight) in &self.rings.to_coarse[k] {
-                    let fine = &fine[from * wide..(from + 1) * wide];
-                    sum.iter_mut().zip(fine).for_each(|(sum, x)| *sum += weight * x);
-                }
-                for (x, from) in ring.iter_mut().zip(&self.nodes.to_coarse) {
-                    *x = from.iter().map(|&(j, weight)| weight * sum[j]).sum();
-                }
-            },
+            |sum, (k, ring)| self.restrict_ring(k, |from| &fine[from * wide..(from + 1) * wide], sum, ring),
         );
     }
 
-    /// Adds the interpolated values of the coarser grid.
-    fn prolong(&self, coarse: &[f64], fine: &mut [f64]) {
-        let (wide, narrow) = (self.nodes.to_fine.len(), self.nodes.to_coarse.len());
-        let tasks = fine.par_chunks_mut(wide).with_min_len(TASK_NODES.div_ceil(wide)).enumerate();
-        tasks.for_each_init(
-            || vec![0.0; narrow],
-            |between, (k, ring)| {
-                let Share { below, above, part } = self.rings.to_fine[k];
-                let [a, b] = [below, above].map(|k| &coarse[k * narrow..(k + 1) * narrow]);
-                for ((between, a), b) in between.iter_mut().zip(a).zip(b) {
-                    *between = a + part * (b - a);
-                }
-                for (x, &Share { below, above, part }) in ring.iter_mut().zip(&self.nodes.to_fine) {
-                    *x += between[below] + part * (between[above] - between[below]);
-                }
-            },
-        );
+    /// As [`restrict`](Self::restrict), to the coarser ring k.
+    #[inline(always)]
+    fn restrict_ring<'a>(
+        &self,
+        k: usize,
+        fine: impl Fn(usize) -> &'a [f64],
+        sum: &mut [f64],
+        ring: &mut [f64],
+    ) {
+        sum.fill(0.0);
+        for &(from, weight) in &self.rings.to_coarse[k] {
+            sum.iter_mut().zip(fine(from)).for_each(|(sum, x)| *sum += weight * x);
+        }
+        for (x, from) in ring.iter_mut().zip(&self.nodes.to_coarse) {
+            *x = from.iter().map(|&(j, weight)| weight * sum[j]).sum();
+        }
+    }
+
+    /// Adds the interpolated values of the coarser grid to ring k.
+    #[inline(always)]
+    fn prolong_ring(&self, k: usize, coarse: &[f64], between: &mut [f64], ring: &mut [f64]) {
+        let narrow = between.len();
+        let Share { below, above, part } = self.rings.to_fine[k];
+        let [a, b] = [below, above].map(|k| &coarse[k * narrow..(k + 1) * narrow]);
+        for ((between, a), b) in between.iter_mut().zip(a).zip(b) {
+            *between = a + part * (b - a);
+        }
+        for (x, &Share { below, above, part }) in ring.iter_mut().zip(&self.nodes.to_fine) {
+            *x += between[below] + part * (between[above] - between[below]);
+        }
     }
 }
 
@@ -229,6 +334,19 @@ impl Interpolation {
             }
         }
         Self { to_fine, to_coarse }
+    }
+
+    /// The first coarse place at or behind a fine one.
+    fn first_from(&self, fine: usize) -> usize {
+        let Share { below, part, .. } = self.to_fine[fine];
+        if part > 0.0 { below + 1 } else { below }
+    }
+
+    /// The fine places that have a share in some coarse ones, and these.
+    fn needed_for(&self, coarse: Range<usize>, fine: &Range<usize>) -> Range<usize> {
+        let with_share = || coarse.clone().flat_map(|k| &self.to_coarse[k]).map(|(from, _)| *from);
+        let first = with_share().fold(fine.start, usize::min);
+        first..with_share().map(|from| from + 1).fold(fine.end, usize::max)
     }
 }
 
@@ -300,7 +418,10 @@ mod tests {
             let along =
                 |g: &WallGrid| (0..g.node_count()).map(|i| (i / g.nodes) as f64 * g.step_mm).collect();
             let (mut fine, expected): (Vec<f64>, Vec<f64>) = (vec![0.0; grid.node_count()], along(&grid));
-            transfer.prolong(&along(&coarse), &mut fine);
+            let mut between = vec![0.0; coarse.nodes];
+            for (k, ring) in fine.chunks_exact_mut(nodes).enumerate() {
+                transfer.prolong_ring(k, &along(&coarse), &mut between, ring);
+            }
             assert!(fine.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-12), "{fine:?}");
             let mut sums = vec![0.0; coarse.node_count()];
             transfer.restrict(&expected, &mut sums);

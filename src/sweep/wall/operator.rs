@@ -4,9 +4,15 @@ use super::bending::LocalSmoothness;
 use super::equations::Equations;
 use crate::sweep::prepare::grid::WallGrid;
 use rayon::prelude::*;
+use std::cell::RefCell;
+use std::ops::Range;
 
 /// Nodes per parallel task: fewer do not pay for a thread.
 const TASK_NODES: usize = 1024;
+/// Nodes of a grid that one thread is done with before others have begun.
+const ALONE_NODES: usize = 6144;
+/// Most rings per parallel task: windows of more leave the cache.
+const TASK_RINGS: usize = 64;
 
 /// The couplings of weighted echoes plus λ times those of the bending energy `½ ∫ r_ss² + 2 r_sθ² + r_θθ² dA`.
 ///
@@ -36,29 +42,102 @@ struct Couplings {
     diagonal: Vec<f64>,
 }
 
-/// Three neighbouring rings with their ends repeated on either side, and the product for the middle one.
-struct Room {
-    below: Vec<f64>,
-    ring: Vec<f64>,
-    above: Vec<f64>,
-    product: Vec<f64>,
+/// Some successive rings of values, with two nodes repeated on either side of each, so that no stencil has to wrap around.
+#[derive(Debug, Default)]
+pub(super) struct Window {
+    first: usize,
+    width: usize,
+    values: Vec<f64>,
 }
 
-impl Room {
-    fn new(nodes: usize) -> Self {
-        let padded = vec![0.0; nodes + 4];
-        Self { below: padded.clone(), ring: padded.clone(), above: padded, product: vec![0.0; nodes] }
+impl Window {
+    /// Calls `fill` with every ring of a range and room for its values.
+    #[inline(always)]
+    pub(super) fn fill(
+        &mut self,
+        nodes: usize,
+        rings: Range<usize>,
+        mut fill: impl FnMut(usize, &mut [f64]),
+    ) {
+        self.first = rings.start;
+        self.width = nodes + 4;
+        if self.values.len() < rings.len() * self.width {
+            self.values.resize(rings.len() * self.width, 0.0);
+        }
+        for (ring, padded) in rings.zip(self.values.chunks_exact_mut(nodes + 4)) {
+            fill(ring, &mut padded[2..nodes + 2]);
+            for i in 0..2 {
+                padded[i] = padded[2 + (2 * nodes + i - 2) % nodes];
+                padded[nodes + 2 + i] = padded[2 + i % nodes];
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn padded(&self, ring: usize) -> &[f64] {
+        &self.values[(ring - self.first) * self.width..][..self.width]
+    }
+
+    /// The values of a ring.
+    #[inline(always)]
+    pub(super) fn ring(&self, ring: usize) -> &[f64] {
+        &self.padded(ring)[2..self.width - 2]
     }
 }
 
-/// Copies a ring and repeats two nodes on either side.
-fn pad(ring: &[f64], padded: &mut [f64]) {
-    let nodes = ring.len();
-    padded[2..nodes + 2].copy_from_slice(ring);
-    for i in 0..2 {
-        padded[i] = ring[(2 * nodes + i - 2) % nodes];
-        padded[nodes + 2 + i] = ring[i % nodes];
+thread_local! {
+    /// Windows of a thread's tasks.
+    static WINDOWS: RefCell<[Window; 2]> = RefCell::default();
+}
+
+/// Calls `task`, compiled for this processor, with windows to use.
+#[inline(always)]
+pub(super) fn with_windows(task: impl FnOnce(&mut [Window; 2])) {
+    WINDOWS.with_borrow_mut(|windows| {
+        pulp::Arch::new().dispatch(
+            #[inline(always)]
+            || task(windows),
+        );
+    });
+}
+
+/// Does tasks on all threads.
+pub(super) fn for_each<T: Send>(mut tasks: Vec<T>, task: impl Fn(T) + Send + Sync) {
+    match tasks.len() {
+        1 => tasks.drain(..).for_each(task),
+        _ => tasks.into_par_iter().with_max_len(1).for_each(task),
     }
+}
+
+impl WallGrid {
+    /// The rings, in as many parts as keep all threads busy. No ring's values depend on it.
+    pub(super) fn bands(&self) -> Vec<Range<usize>> {
+        let Self { rings, nodes, .. } = *self;
+        let least = if self.node_count() < ALONE_NODES { rings } else { TASK_NODES.div_ceil(nodes) };
+        let of_thread = rings.div_ceil(rayon::current_num_threads());
+        let even = of_thread.div_ceil(of_thread.div_ceil(TASK_RINGS)).max(least);
+        (0..rings).step_by(even).map(|first| first..(first + even).min(rings)).collect()
+    }
+
+    /// Some rings and as many as `more` before and after them.
+    pub(super) fn wider(&self, rings: &Range<usize>, more: usize) -> Range<usize> {
+        rings.start.saturating_sub(more)..(rings.end + more).min(self.rings)
+    }
+}
+
+/// The parts of a vector that belong to these rings, which follow each other, of `nodes` nodes.
+pub(super) fn split<'a>(
+    mut values: &'a mut [f64],
+    nodes: usize,
+    bands: impl Iterator<Item = Range<usize>>,
+) -> Vec<&'a mut [f64]> {
+    bands
+        .map(|band| {
+            let (of_band, rest) = std::mem::take(&mut values).split_at_mut(band.len() * nodes);
+            values = rest;
+            of_band
+        })
+        .collect()
 }
 
 impl Operator {
@@ -159,96 +238,107 @@ impl Operator {
         ]
     }
 
-    /// `out = A x`; returns `x·A x`, summed in a fixed order.
-    pub(in crate::sweep) fn apply(&self, x: &[f64], out: &mut [f64]) -> f64 {
-        let of_rings = self.for_rings(x, out, |_, x, product, out| {
-            out.copy_from_slice(product);
-            x.iter().zip(product).map(|(x, p)| x * p).sum()
-        });
-        of_rings.iter().sum()
-    }
-
-    /// `out = right - A x`.
-    pub(in crate::sweep) fn residual(&self, right: &[f64], x: &[f64], out: &mut [f64]) {
-        self.for_rings(x, out, |first, _, product, out| {
-            for ((out, b), p) in out.iter_mut().zip(&right[first..]).zip(product) {
-                *out = b - p;
-            }
-            0.0
-        });
-    }
-
-    /// `out = x + scale (right - A x)`, with a `scale` for every node.
-    pub(in crate::sweep) fn relax(
-        &self,
-        right: &[f64],
-        x: &[f64],
-        weight: f64,
-        scale: &[f64],
-        out: &mut [f64],
-    ) {
-        self.for_rings(x, out, |first, x, product, out| {
-            let (right, scale) = (&right[first..], &scale[first..]);
-            for ((((out, x), b), p), s) in out.iter_mut().zip(x).zip(right).zip(product).zip(scale) {
-                *out = x + weight * s * (b - p);
-            }
-            0.0
-        });
-    }
-
-    /// Calls `take` with the first node of every ring, its values, their product with the matrix and its part of `out`;
-    /// returns what the calls return.
-    fn for_rings(
-        &self,
-        x: &[f64],
-        out: &mut [f64],
-        take: impl Fn(usize, &[f64], &[f64], &mut [f64]) -> f64 + Sync,
-    ) -> Vec<f64> {
+    /// `out = A x`.
+    pub(in crate::sweep) fn apply(&self, x: &[f64], out: &mut [f64]) {
         let nodes = self.grid.nodes;
-        let rings_per_task = TASK_NODES.div_ceil(nodes);
-        let mut returned = vec![0.0; self.grid.rings];
-        let arch = pulp::Arch::new();
-        let task = |(task, (out, returned)): (usize, (&mut [f64], &mut [f64]))| {
-            arch.dispatch(
+        let bands = self.grid.bands();
+        let parts = split(out, nodes, bands.iter().cloned());
+        for_each(bands.into_iter().zip(parts).collect(), |(band, out)| {
+            with_windows(
                 #[inline(always)]
-                || {
-                    let mut room = Room::new(nodes);
-                    for (i, (out, returned)) in out.chunks_exact_mut(nodes).zip(returned).enumerate() {
-                        let k = task * rings_per_task + i;
-                        self.product_of_ring(k, x, &mut room);
-                        let first = k * nodes;
-                        *returned = take(first, &x[first..first + nodes], &room.product, out);
+                |[window, _]| {
+                    let copy = |k: usize, ring: &mut [f64]| ring.copy_from_slice(&x[k * nodes..][..nodes]);
+                    window.fill(nodes, self.grid.wider(&band, 2), copy);
+                    for (k, out) in band.zip(out.chunks_exact_mut(nodes)) {
+                        self.product(k, window, out);
                     }
                 },
             );
-        };
-        if self.grid.rings <= rings_per_task {
-            task((0, (out, &mut returned)));
-        } else {
-            let tasks = out.par_chunks_mut(nodes * rings_per_task);
-            tasks.zip(returned.par_chunks_mut(rings_per_task)).enumerate().for_each(task);
-        }
-        returned
+        });
     }
 
-    /// The product of the matrix with `x` on ring k.
+    /// The next direction of conjugate gradients, `z + beta direction`, and its product with the matrix.
+    pub(super) fn advance(
+        &self,
+        z: &[f64],
+        beta: f64,
+        direction: &[f64],
+        next: &mut [f64],
+        product: &mut [f64],
+    ) {
+        let nodes = self.grid.nodes;
+        let bands = self.grid.bands();
+        let [next, product] = [next, product].map(|out| split(out, nodes, bands.iter().cloned()));
+        for_each(
+            bands.into_iter().zip(next.into_iter().zip(product)).collect(),
+            |(band, (next, product))| {
+                with_windows(
+                    #[inline(always)]
+                    |[window, _]| {
+                        window.fill(
+                            nodes,
+                            self.grid.wider(&band, 2),
+                            #[inline(always)]
+                            |k, ring| {
+                                let (z, direction) =
+                                    (&z[k * nodes..][..nodes], &direction[k * nodes..][..nodes]);
+                                for ((next, z), direction) in ring.iter_mut().zip(z).zip(direction) {
+                                    *next = z + beta * direction;
+                                }
+                            },
+                        );
+                        let outs = next.chunks_exact_mut(nodes).zip(product.chunks_exact_mut(nodes));
+                        for (k, (next, product)) in band.zip(outs) {
+                            next.copy_from_slice(window.ring(k));
+                            self.product(k, window, product);
+                        }
+                    },
+                );
+            },
+        );
+    }
+
+    /// `out = right - A x` on ring k.
     #[inline(always)]
-    fn product_of_ring(&self, k: usize, x: &[f64], room: &mut Room) {
+    pub(super) fn residual(&self, k: usize, right: &[f64], x: &Window, out: &mut [f64]) {
+        self.product(k, x, out);
+        let right = &right[k * self.grid.nodes..];
+        out.iter_mut().zip(right).for_each(|(out, right)| *out = right - *out);
+    }
+
+    /// `out = x + weight scale (right - A x)` on ring k, with a `scale` for every node.
+    #[inline(always)]
+    pub(super) fn relax(
+        &self,
+        k: usize,
+        right: &[f64],
+        x: &Window,
+        (weight, scale): (f64, &[f64]),
+        out: &mut [f64],
+    ) {
+        self.product(k, x, out);
+        let of_ring = k * self.grid.nodes;
+        let (right, scale) = (&right[of_ring..], &scale[of_ring..]);
+        for (((out, x), right), scale) in out.iter_mut().zip(x.ring(k)).zip(right).zip(scale) {
+            *out = x + weight * scale * (right - *out);
+        }
+    }
+
+    /// The product of the matrix with `x` on ring k; `x` has two rings more on either side, as far as there are any.
+    #[inline(always)]
+    fn product(&self, k: usize, x: &Window, out: &mut [f64]) {
         let WallGrid { rings, nodes, .. } = self.grid;
-        let ring = |k: usize| &x[k * nodes..(k + 1) * nodes];
         // Where a ring does not exist, the one at the end stands in with a weight of 0.
         let [k1, k2] = [1, 2].map(|away| k.saturating_sub(away));
         let [k3, k4] = [1, 2].map(|away| (k + away).min(rings - 1));
-        pad(ring(k1), &mut room.below);
-        pad(ring(k), &mut room.ring);
-        pad(ring(k3), &mut room.above);
         let [below, here, above] = [k.checked_sub(1), Some(k), Some(k + 1)].map(|k| self.bending_of(k));
         let [arch_below, arch, arch_above] = [below[0], here[0], above[0]];
         let (around, twist_below, twist_above) = (here[1], below[2], here[2]);
 
-        let out = &mut room.product[..nodes];
-        let (a, b, c) = (&room.below[..nodes + 4], &room.ring[..nodes + 4], &room.above[..nodes + 4]);
-        let (two_below, two_above, own) = (ring(k2), ring(k4), &self.own[k * nodes..(k + 1) * nodes]);
+        let out = &mut out[..nodes];
+        let [a, b, c] = [k1, k, k3].map(|ring| &x.padded(ring)[..nodes + 4]);
+        let [two_below, two_above] = [k2, k4].map(|ring| &x.ring(ring)[..nodes]);
+        let own = &self.own[k * nodes..(k + 1) * nodes];
         for j in 0..nodes {
             let x = b[j + 2];
             let (x_below, x_above) = (a[j + 2], c[j + 2]);
@@ -340,11 +430,10 @@ mod tests {
                     .for_each(|(weight, terms)| add(*weight, terms));
             }
             let mut found = vec![f64::NAN; x.len()];
-            let square = operator.apply(&x, &mut found);
+            operator.apply(&x, &mut found);
             let largest = expected.iter().fold(0.0_f64, |max, e| max.max(e.abs()));
             let near = |a: f64, b: f64| (a - b).abs() < 1e-12 * largest;
             assert!(found.iter().zip(&expected).all(|(a, b)| near(*a, *b)), "{rings} × {nodes}");
-            assert!(near(square, x.iter().zip(&expected).map(|(x, e)| x * e).sum()));
             if nodes > 4 {
                 assert!(
                     operator.diagonal().iter().zip(&diagonal).all(|(a, b)| near(*a, *b)),
@@ -355,12 +444,43 @@ mod tests {
             let all: f64 = points.iter().map(|(_, node)| 1.0 + node.abs()).sum();
             assert!((weights.iter().sum::<f64>() - all).abs() < 1e-9 * all);
 
-            let mut other = found.clone();
-            operator.residual(&expected, &x, &mut other);
-            assert!(other.iter().all(|r| near(*r, 0.0)));
-            operator.relax(&radii, &x, 0.5, &radii, &mut other);
-            let relaxed = |i: usize| x[i] + 0.5 * radii[i] * (radii[i] - found[i]);
-            assert!((0..x.len()).all(|i| near(other[i], relaxed(i))));
+            let [mut next, mut product] = [(); 2].map(|()| vec![f64::NAN; x.len()]);
+            let half: Vec<f64> = x.iter().map(|x| 0.5 * x).collect();
+            operator.advance(&half, 0.25, &half.repeat(1), &mut next, &mut product);
+            assert!(
+                (0..x.len()).all(|i| near(next[i], 0.625 * x[i]) && near(product[i], 0.625 * expected[i]))
+            );
+            let mut window = Window::default();
+            window.fill(nodes, 0..rings, |k, ring| ring.copy_from_slice(&x[k * nodes..][..nodes]));
+            for k in 0..rings {
+                let mut ring = vec![f64::NAN; nodes];
+                operator.residual(k, &expected, &window, &mut ring);
+                assert!(ring.iter().all(|r| near(*r, 0.0)));
+                operator.relax(k, &radii, &window, (0.5, &radii), &mut ring);
+                let relaxed = |i: usize| x[i] + 0.5 * radii[i] * (radii[i] - found[i]);
+                assert!((0..nodes).all(|j| near(ring[j], relaxed(k * nodes + j))));
+            }
         }
+    }
+
+    /// Tasks of some rings each, on a grid that is worth several threads, give what one task gives.
+    #[test]
+    fn products_do_not_depend_on_the_tasks() {
+        let grid = WallGrid { rings: 301, nodes: 40, ..GRID };
+        let wave = |i: usize| (0.7 * (i * i % 997) as f64).sin();
+        let x: Vec<f64> = (0..grid.node_count()).map(wave).collect();
+        let weights = x.iter().map(|x| 1.0 + x * x).collect();
+        let operator = Operator::lumped(&grid, weights, 0.3, LocalSmoothness::default());
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let [mut found, mut next, mut product] = [(); 3].map(|()| vec![f64::NAN; x.len()]);
+                operator.apply(&x, &mut found);
+                operator.advance(&x, 0.3, &found, &mut next, &mut product);
+                (grid.bands().len(), [found, next, product])
+            })
+        };
+        let [(few, expected), (many, found)] = [1, 5].map(on);
+        assert!(few < many && expected == found, "{few} {many}");
     }
 }

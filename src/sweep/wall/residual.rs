@@ -14,7 +14,7 @@ pub(in crate::sweep) const GATE_RADII: f64 = 0.25;
 /// Projections lie at most this many standard deviations from their echoes.
 pub(in crate::sweep) const MAX_PROJECTION_SDS: f64 = 3.0;
 /// Echoes per parallel task: a fixed number, so that sums do not depend on the number of threads.
-pub(super) const TASK: usize = 8192;
+pub(in crate::sweep) const TASK: usize = 8192;
 
 /// The wall and the noise that residuals are evaluated on.
 #[derive(Debug, Clone, Copy)]
@@ -83,7 +83,8 @@ impl<'a> ResidualModel<'a> {
 
     /// Evaluates the residuals of all echoes, and with `project` moves their projections.
     pub(in crate::sweep) fn measure_all(&self, echoes: &mut [Echo], project: bool) {
-        echoes.par_chunks_mut(TASK).for_each(|task| {
+        // Smaller tasks, since nothing is summed: all threads have some.
+        echoes.par_chunks_mut(TASK / 8).for_each(|task| {
             for echo in task {
                 self.measure(echo, project);
             }

@@ -41,6 +41,13 @@ pub(in crate::sweep) const MAX_STEPS: usize = 100;
 
 /// Numbers of a vector per parallel task: a fixed number, so that sums do not depend on the number of threads.
 const TASK: usize = 8192;
+/// The same where nothing is summed.
+const STEP_TASK: usize = 4096;
+/// Tasks of a scalar product that a thread adds up side by side.
+const SIDE_BY_SIDE: usize = 8;
+
+/// A part of a vector that changes, and that of the vector which is added to it.
+type Pair<'a> = (&'a mut [f64], &'a [f64]);
 
 /// The minimum of `Σ w (x - y)² + λ ∫ |bending|² dA` over the values at a grid's nodes: conjugate gradients, preconditioned
 /// by a [`Multigrid`] cycle.
@@ -57,7 +64,7 @@ pub(in crate::sweep) fn solve(
     x: &mut [f64],
 ) -> Result<Solved> {
     let operator = Operator::of(system.equations, grid, system.smoothness_mm2, system.local);
-    let right: Vec<f64> = system.equations.rows().iter().map(|row| row[4]).collect();
+    let right: Vec<f64> = system.equations.rows().par_iter().with_min_len(TASK).map(|row| row[4]).collect();
     Solver::of(&operator)?.solve(&right, system.coupling, tolerance, max_steps, x)
 }
 
@@ -104,17 +111,23 @@ impl<'a> Solver<'a> {
         let Self { operator, multigrid } = self;
         let mut room = multigrid.room();
         let zeros = || vec![0.0; right.len()];
-        let (mut product, mut z, mut direction) = (zeros(), zeros(), zeros());
+        let (mut product, mut z, mut direction, mut next_direction) = (zeros(), zeros(), zeros(), zeros());
         let mut residual = right.to_vec();
         // In the norm of the preconditioner, which weights a residual by its effect on x.
         multigrid.precondition(&residual, &mut z, &mut room);
         let enough = tolerance * tolerance * dot(&residual, &z);
-        operator.apply(x, &mut product);
-        coupling(x, &mut product);
-        update(&mut residual, &product, |right, product| right - product);
+        // From zero, that is the first step's already.
+        let from_zero = x.iter().all(|x| *x == 0.0);
+        if !from_zero {
+            operator.apply(x, &mut product);
+            coupling(x, &mut product);
+            residual.iter_mut().zip(&product).for_each(|(right, product)| *right -= product);
+        }
         let mut size = 0.0;
         for step in 0..=max_steps {
-            multigrid.precondition(&residual, &mut z, &mut room);
+            if step > 0 || !from_zero {
+                multigrid.precondition(&residual, &mut z, &mut room);
+            }
             let next = dot(&residual, &z);
             if next <= enough || step == max_steps {
                 return Ok(Solved { steps: step, converged: next <= enough });
@@ -124,16 +137,20 @@ impl<'a> Solver<'a> {
             }
             let beta = if step == 0 { 0.0 } else { next / size };
             size = next;
-            update(&mut direction, &z, |direction, z| z + beta * direction);
-            operator.apply(&direction, &mut product);
+            operator.advance(&z, beta, &direction, &mut next_direction, &mut product);
+            std::mem::swap(&mut direction, &mut next_direction);
             coupling(&direction, &mut product);
             let curvature = dot(&direction, &product);
             if !(curvature.is_finite() && curvature > 0.0) {
                 return Err(broken("curvature of the wall equations", curvature));
             }
             let alpha = size / curvature;
-            update(x, &direction, |x, direction| x + alpha * direction);
-            update(&mut residual, &product, |residual, product| residual - alpha * product);
+            let of_task = |((x, direction), (residual, product)): (Pair, Pair)| {
+                x.iter_mut().zip(direction).for_each(|(x, direction)| *x += alpha * direction);
+                residual.iter_mut().zip(product).for_each(|(residual, product)| *residual -= alpha * product);
+            };
+            let of_x = x.par_chunks_mut(STEP_TASK).zip(direction.par_chunks(STEP_TASK));
+            of_x.zip(residual.par_chunks_mut(STEP_TASK).zip(product.par_chunks(STEP_TASK))).for_each(of_task);
         }
         unreachable!("the last step returns")
     }
@@ -143,17 +160,39 @@ fn broken(what: &'static str, found: f64) -> Error {
     Error::Solver { what, found: found.to_string(), expected: "a finite number above 0" }
 }
 
-/// Replaces every number of `a` by a function of it and of that of `b`.
-fn update(a: &mut [f64], b: &[f64], new: impl Fn(f64, f64) -> f64 + Sync) {
-    let of_task = |(a, b): (&mut [f64], &[f64])| a.iter_mut().zip(b).for_each(|(a, b)| *a = new(*a, *b));
-    a.par_chunks_mut(TASK).zip(b.par_chunks(TASK)).for_each(of_task);
-}
-
 /// The scalar product, in a fixed order.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let of_task = |(a, b): (&[f64], &[f64])| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let parts: Vec<f64> = a.par_chunks(TASK).zip(b.par_chunks(TASK)).map(of_task).collect();
+    // Some tasks side by side: sums that do not wait for each other.
+    let of_tasks = |(a, b): (&[f64], &[f64])| -> Vec<f64> {
+        let tasks: Vec<(&[f64], &[f64])> = a.chunks(TASK).zip(b.chunks(TASK)).collect();
+        let mut sums = vec![0.0; tasks.len()];
+        match <[(&[f64], &[f64]); SIDE_BY_SIDE]>::try_from(tasks) {
+            Ok(tasks) => sums.copy_from_slice(&products_of(tasks)),
+            Err(tasks) => sums.iter_mut().zip(tasks).for_each(|(sum, task)| [*sum] = products_of([task])),
+        }
+        sums
+    };
+    let runs = a.par_chunks(TASK * SIDE_BY_SIDE).zip(b.par_chunks(TASK * SIDE_BY_SIDE));
+    let parts: Vec<f64> = runs.flat_map_iter(of_tasks).collect();
     parts.iter().sum()
+}
+
+/// Scalar products of tasks, all but the last equally long.
+fn products_of<const N: usize>(tasks: [(&[f64], &[f64]); N]) -> [f64; N] {
+    let together = tasks.iter().map(|(a, _)| a.len()).min().unwrap_or(0);
+    let fronts = tasks.map(|(a, b)| (&a[..together], &b[..together]));
+    let mut sums = [0.0; N];
+    for i in 0..together {
+        for (sum, (a, b)) in sums.iter_mut().zip(fronts) {
+            *sum += a[i] * b[i];
+        }
+    }
+    for (sum, (a, b)) in sums.iter_mut().zip(tasks) {
+        for (a, b) in a[together..].iter().zip(&b[together..]) {
+            *sum += a * b;
+        }
+    }
+    sums
 }
 
 #[cfg(test)]
