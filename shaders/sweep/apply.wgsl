@@ -1,15 +1,20 @@
-// The matrix of the equations times the direction, and the scalar product of both.
+// Conjugate gradients: the matrix of the equations times the next direction, and the scalar product of both. A workgroup
+// per tile.
 
 @group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> state: State;
 @group(0) @binding(2) var<storage, read> rows: array<vec4f>;
-@group(0) @binding(3) var<storage, read> direction: array<f32>;
-@group(0) @binding(4) var<storage, read_write> product: array<f32>;
-@group(0) @binding(5) var<storage, read_write> partials: array<f32>;
+@group(0) @binding(3) var<storage, read> preconditioned: array<f32>;
+@group(0) @binding(4) var<storage, read> direction: array<f32>;
+@group(0) @binding(5) var<storage, read_write> product: array<f32>;
+@group(0) @binding(6) var<storage, read_write> partials: array<f32>;
 
-fn value(node: u32) -> f32 {
-    return direction[node];
-}
+const MARGIN = 2u;
+const_assert APPLY_COLUMNS == TILE_COLUMNS - 2u * MARGIN;
+const ROWS = TILE_RINGS + 2u * MARGIN;
+
+// The next direction: `cg_step`, which no longer needs the last one at other nodes, stores it.
+var<workgroup> cells: array<f32, TILE_COLUMNS * ROWS>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -17,20 +22,43 @@ fn main(
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
+    let level = finest();
     let index = workgroup_index(group, groups);
-    let node = index * 256u + local;
-    if (state.done != 0u || index * 256u >= parameters.node_count) {
+    if (state.done != 0u || index >= tile_count(level, APPLY_COLUMNS)) {
         return;
     }
-    var own = 0.0;
-    if (node < parameters.node_count) {
-        let k = node / parameters.nodes;
-        let j = node % parameters.nodes;
-        let x = coupled(finest(), k, j) + bending(finest(), k, j);
-        product[node] = x;
-        own = direction[node] * x;
+    let tile = tile_of(level, index, APPLY_COLUMNS, MARGIN);
+    let column = local % TILE_COLUMNS;
+    let quarter = local / TILE_COLUMNS;
+    let j = node_of(level, tile, column);
+    let beta = state.beta;
+    if (column < tile.end + MARGIN) {
+        for (var row = quarter; row < ROWS; row += 4u) {
+            let k = ring_of(tile, row);
+            if (k < level.rings) {
+                let node = k * level.nodes + j;
+                cells[TILE_COLUMNS * row + column] = preconditioned[node] + beta * direction[node];
+            }
+        }
     }
-    let sum = sum_of_workgroup(own, 256u, local);
+    workgroupBarrier();
+    var curvature = 0.0;
+    if (column >= MARGIN && column < tile.end) {
+        const QUARTER = (TILE_RINGS + 3u) / 4u;
+        let start = MARGIN + QUARTER * quarter;
+        var s = stencil_below(TILE_COLUMNS * start + column);
+        for (var row = start; row < min(start + QUARTER, MARGIN + TILE_RINGS); row++) {
+            let k = ring_of(tile, row);
+            s = climbed(s, TILE_COLUMNS * row + column);
+            if (k < level.rings) {
+                let at = places_of(level, k, j);
+                let x = coupled(level, k, couplings_at(k, at, level.nodes), s) + bending(level, k, s);
+                product[at.here] = x;
+                curvature += s.here * x;
+            }
+        }
+    }
+    let sum = sum_of_workgroup(curvature, 256u, local);
     if (local == 0u) {
         partials[index] = sum;
     }

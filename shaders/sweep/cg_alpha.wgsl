@@ -6,7 +6,7 @@
 
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) local: u32) {
-    let curvature = sum_of_partials((parameters.node_count + 255u) / 256u, local);
+    let curvature = sum_of_partials(tile_count(finest(), APPLY_COLUMNS), local);
     if (local == 0u && state.done == 0u) {
         if (curvature > 0.0 && curvature <= MAX_F32) {
             state.alpha = state.residual_square / curvature;

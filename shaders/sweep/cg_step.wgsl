@@ -1,11 +1,12 @@
-// Conjugate gradients: a step along the direction.
+// Conjugate gradients: the next direction, and a step along it.
 
 @group(0) @binding(0) var<uniform> parameters: WallParameters;
 @group(0) @binding(1) var<storage, read> state: State;
-@group(0) @binding(2) var<storage, read> direction: array<f32>;
+@group(0) @binding(2) var<storage, read> preconditioned: array<f32>;
 @group(0) @binding(3) var<storage, read> product: array<f32>;
-@group(0) @binding(4) var<storage, read_write> change: array<f32>;
-@group(0) @binding(5) var<storage, read_write> cg_residual: array<f32>;
+@group(0) @binding(4) var<storage, read_write> direction: array<f32>;
+@group(0) @binding(5) var<storage, read_write> change: array<f32>;
+@group(0) @binding(6) var<storage, read_write> cg_residual: array<f32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -17,6 +18,8 @@ fn main(
     if (state.done != 0u || node >= parameters.node_count) {
         return;
     }
-    change[node] += state.alpha * direction[node];
+    let along = preconditioned[node] + state.beta * direction[node];
+    direction[node] = along;
+    change[node] += state.alpha * along;
     cg_residual[node] -= state.alpha * product[node];
 }

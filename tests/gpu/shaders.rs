@@ -100,7 +100,8 @@ const TWINS: [(&str, &str); 5] = [
 ];
 
 /// Shaders without a twin, and the reason.
-const WITHOUT_TWIN: [(&str, &str); 2] = [
+const WITHOUT_TWIN: [(&str, &str); 3] = [
+    ("shaders/sweep/common/climb.wgsl", "it keeps in registers what the CPU reads again"),
     ("shaders/common/dispatch.wgsl", "it numbers workgroups, which the CPU does not have"),
     (
         "shaders/cylinders/measure_short_shared.wgsl",

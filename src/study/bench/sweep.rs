@@ -103,8 +103,11 @@ pub struct SweepRow {
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct SweepDeviceRow {
-    /// The whole fit, after half a second of it.
+    /// The whole fit, after half a second of fits.
     pub fit: Times,
+    /// The same after the preparation of the echoes on the CPU, in which the device idles: a card that idles runs at a
+    /// fraction of its clock.
+    pub fit_after_idling: Times,
     /// Where that time went; the rest is the host's own computation.
     pub of_it: super::EndToEnd,
     /// The comparison of the walls before anything was timed.
@@ -148,23 +151,26 @@ pub fn run_sweep(
         let found = Sweep::on_device(&recording, &settings, engine)?;
         let parity = Parity::of(["cpu", "gpu"], &expected.radii_mm, &found.radii_mm)?;
         let repeats = repeats.max(1);
+        let idled = || Ok(Sweep::on_device(&recording, &settings, engine)?.report.seconds.fit);
+        let fit_after_idling = Times::of((0..repeats).map(|_| idled()).collect::<Result<_>>()?);
         let (mut seconds, mut spent) = (Vec::new(), Vec::new());
         engine.take_spent();
-        // Warm as `Times::measure_warm` does; only the fit is timed, not the preparation.
+        let mut fit = Sweep::fits(&recording, &settings, engine)?;
+        // Warm as `Times::measure_warm` does.
         let start = std::time::Instant::now();
         while seconds.len() < repeats {
-            let cold = start.elapsed() < super::WARM_UP;
-            let fit_s = Sweep::on_device(&recording, &settings, engine)?.report.seconds.fit;
+            let warm = start.elapsed() >= super::WARM_UP;
+            let fit_s = fit()?;
             let parts = engine.take_spent();
-            if !cold {
+            if warm {
                 seconds.push(fit_s);
                 spent.push(parts);
             }
         }
-        let (_, passes) = engine.timed(|engine| Sweep::on_device(&recording, &settings, engine))?;
+        let (_, passes) = engine.timed(|_| fit())?;
         let passes = passes.into_iter().map(|(name, seconds)| SweepPassRow { name, ms: seconds * 1e3 });
         let (fit, of_it) = (Times::of(seconds), super::EndToEnd::of(&spent));
-        row.device = Some(SweepDeviceRow { fit, of_it, parity, passes: passes.collect() });
+        row.device = Some(SweepDeviceRow { fit, fit_after_idling, of_it, parity, passes: passes.collect() });
     }
     #[cfg(not(feature = "gpu"))]
     let _ = (&mut row, repeats);

@@ -362,8 +362,7 @@ impl OnDevice<'_> {
         let large = self.workspace.large_levels();
         let descend = (0..large).map(|level| (Stage::Descend, level));
         let ascend = (0..large).rev().map(|level| (Stage::Ascend, level));
-        let start = std::iter::once((Stage::Start, 0));
-        start.chain(descend).chain([(Stage::Coarse, large)]).chain(ascend).collect()
+        descend.chain([(Stage::Coarse, large)]).chain(ascend).collect()
     }
 }
 

@@ -1,19 +1,28 @@
-//! The matrix of the equations times a direction (`shaders/sweep/apply.wgsl`).
+//! Conjugate gradients: the matrix of the equations times the next direction (`shaders/sweep/apply.wgsl`).
 
+use super::cg_step::next_direction;
 use super::coupled::coupled;
-use super::sum::partial_sums;
-use super::{WallParameters, bending};
+use super::tile::{APPLY_COLUMNS, tile_sums};
+use super::{State, WallParameters, bending};
 
-/// The matrix times `direction`, and the partial sums of the scalar product of both.
-pub fn apply(parameters: &WallParameters, rows: &[[f32; 4]], direction: &[f32]) -> (Vec<f32>, Vec<f32>) {
+/// The matrix times the next direction, and the sums, tile by tile, of the products of both.
+pub fn apply(
+    parameters: &WallParameters,
+    state: &State,
+    rows: &[[f32; 4]],
+    preconditioned: &[f32],
+    direction: &[f32],
+) -> (Vec<f32>, Vec<f32>) {
     let level = parameters.finest();
     let nodes = parameters.nodes as usize;
-    let product: Vec<f32> = (0..direction.len())
+    let along: Vec<f32> =
+        preconditioned.iter().zip(direction).map(|(z, d)| next_direction(state, *z, *d)).collect();
+    let product: Vec<f32> = (0..along.len())
         .map(|node| {
             let (k, j) = (node / nodes, node % nodes);
-            coupled(&level, rows, direction, k, j) + bending(&level, direction, k, j)
+            coupled(&level, rows, &along, k, j) + bending(&level, &along, k, j)
         })
         .collect();
-    let partials = partial_sums(direction.iter().zip(&product).map(|(a, b)| a * b));
+    let partials = tile_sums(&level, APPLY_COLUMNS, |node| along[node] * product[node]);
     (product, partials)
 }

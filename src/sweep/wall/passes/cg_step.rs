@@ -2,10 +2,23 @@
 
 use super::State;
 
-/// A step along the direction.
-pub fn cg_step(state: &State, direction: &[f32], product: &[f32], change: &mut [f32], residual: &mut [f32]) {
+/// The next direction at a node.
+pub(super) fn next_direction(state: &State, preconditioned: f32, direction: f32) -> f32 {
+    preconditioned + state.beta * direction
+}
+
+/// The next direction, and a step along it.
+pub fn cg_step(
+    state: &State,
+    preconditioned: &[f32],
+    product: &[f32],
+    direction: &mut [f32],
+    change: &mut [f32],
+    residual: &mut [f32],
+) {
     if state.done == 0 {
-        change.iter_mut().zip(direction).for_each(|(x, d)| *x += state.alpha * d);
+        direction.iter_mut().zip(preconditioned).for_each(|(d, z)| *d = next_direction(state, *z, *d));
+        change.iter_mut().zip(direction).for_each(|(x, d)| *x += state.alpha * *d);
         residual.iter_mut().zip(product).for_each(|(r, p)| *r -= state.alpha * p);
     }
 }
