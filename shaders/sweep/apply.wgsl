@@ -11,10 +11,9 @@
 
 const MARGIN = 2u;
 const_assert APPLY_COLUMNS == TILE_COLUMNS - 2u * MARGIN;
-const ROWS = TILE_RINGS + 2u * MARGIN;
 
 // The next direction: `cg_step`, which no longer needs the last one at other nodes, stores it.
-var<workgroup> cells: array<f32, TILE_COLUMNS * ROWS>;
+var<workgroup> cells: array<f32, TILE_COLUMNS * (TILE_RINGS + 2u * MARGIN)>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -27,13 +26,15 @@ fn main(
     if (state.done != 0u || index >= tile_count(level, APPLY_COLUMNS)) {
         return;
     }
+    let rings = tile_rings(level);
+    let rows_of_tile = rings + 2u * MARGIN;
     let tile = tile_of(level, index, APPLY_COLUMNS, MARGIN);
     let column = local % TILE_COLUMNS;
     let quarter = local / TILE_COLUMNS;
     let j = node_of(level, tile, column);
     let beta = state.beta;
     if (column < tile.end + MARGIN) {
-        for (var row = quarter; row < ROWS; row += 4u) {
+        for (var row = quarter; row < rows_of_tile; row += 4u) {
             let k = ring_of(tile, row);
             if (k < level.rings) {
                 let node = k * level.nodes + j;
@@ -44,10 +45,10 @@ fn main(
     workgroupBarrier();
     var curvature = 0.0;
     if (column >= MARGIN && column < tile.end) {
-        const QUARTER = (TILE_RINGS + 3u) / 4u;
-        let start = MARGIN + QUARTER * quarter;
+        let quarter_rows = (rings + 3u) / 4u;
+        let start = MARGIN + quarter_rows * quarter;
         var s = stencil_below(TILE_COLUMNS * start + column);
-        for (var row = start; row < min(start + QUARTER, MARGIN + TILE_RINGS); row++) {
+        for (var row = start; row < min(start + quarter_rows, MARGIN + rings); row++) {
             let k = ring_of(tile, row);
             s = climbed(s, TILE_COLUMNS * row + column);
             if (k < level.rings) {

@@ -15,8 +15,7 @@
 // Each relaxation depends on two more nodes to all sides.
 const MARGIN = 4u;
 const_assert ASCEND_COLUMNS == TILE_COLUMNS - 2u * MARGIN;
-const ROWS = TILE_RINGS + 2u * MARGIN;
-const PLACES = TILE_COLUMNS * ROWS;
+const PLACES = TILE_COLUMNS * (TILE_RINGS + 2u * MARGIN);
 
 // The corrected values, and behind them those after the first of the two relaxations.
 var<workgroup> cells: array<f32, 2u * PLACES>;
@@ -37,13 +36,15 @@ fn main(
     if (state.done != 0u || index >= tile_count(level, ASCEND_COLUMNS)) {
         return;
     }
+    let rings = tile_rings(level);
+    let rows_of_tile = rings + 2u * MARGIN;
     let tile = tile_of(level, index, ASCEND_COLUMNS, MARGIN);
     let column = local % TILE_COLUMNS;
     let quarter = local / TILE_COLUMNS;
     let j = node_of(level, tile, column);
     let share = share_of(j, level.nodes, coarse.nodes, true);
     if (column < tile.end + MARGIN) {
-        for (var row = quarter; row < ROWS; row += 4u) {
+        for (var row = quarter; row < rows_of_tile; row += 4u) {
             let k = ring_of(tile, row);
             if (k < level.rings) {
                 let correction = interpolated(coarse, share_of(k, level.rings, coarse.rings, false), share);
@@ -53,10 +54,10 @@ fn main(
     }
     workgroupBarrier();
     if (column >= 2u && column < tile.end + MARGIN - 2u) {
-        const QUARTER = (ROWS - 4u + 3u) / 4u;
-        let start = 2u + QUARTER * quarter;
+        let quarter_rows = (rows_of_tile - 4u + 3u) / 4u;
+        let start = 2u + quarter_rows * quarter;
         var s = stencil_below(TILE_COLUMNS * start + column);
-        for (var row = start; row < min(start + QUARTER, ROWS - 2u); row++) {
+        for (var row = start; row < min(start + quarter_rows, rows_of_tile - 2u); row++) {
             let place = TILE_COLUMNS * row + column;
             let k = ring_of(tile, row);
             s = climbed(s, place);
@@ -73,10 +74,10 @@ fn main(
     workgroupBarrier();
     var square = 0.0;
     if (column >= MARGIN && column < tile.end) {
-        const QUARTER = (TILE_RINGS + 3u) / 4u;
-        let start = MARGIN + QUARTER * quarter;
+        let quarter_rows = (rings + 3u) / 4u;
+        let start = MARGIN + quarter_rows * quarter;
         var s = stencil_below(PLACES + TILE_COLUMNS * start + column);
-        for (var row = start; row < min(start + QUARTER, MARGIN + TILE_RINGS); row++) {
+        for (var row = start; row < min(start + quarter_rows, MARGIN + rings); row++) {
             let k = ring_of(tile, row);
             s = climbed(s, PLACES + TILE_COLUMNS * row + column);
             if (k < level.rings) {

@@ -14,8 +14,7 @@
 const LOW = 6u;
 const HIGH = 4u;
 const_assert DESCEND_COLUMNS == TILE_COLUMNS - LOW - HIGH;
-const ROWS = LOW + TILE_RINGS + HIGH;
-const PLACES = TILE_COLUMNS * ROWS;
+const PLACES = TILE_COLUMNS * (LOW + TILE_RINGS + HIGH);
 
 // The values after the first relaxation, then what is left; and behind them those after the second.
 var<workgroup> cells: array<f32, 2u * PLACES>;
@@ -40,12 +39,14 @@ fn main(
     if (state.done != 0u || index >= tile_count(level, DESCEND_COLUMNS)) {
         return;
     }
+    let rings = tile_rings(level);
+    let rows_of_tile = LOW + rings + HIGH;
     tile = tile_of(level, index, DESCEND_COLUMNS, LOW);
     let column = local % TILE_COLUMNS;
     let quarter = local / TILE_COLUMNS;
     let j = node_of(level, tile, column);
     if (column < tile.end + HIGH) {
-        for (var row = quarter; row < ROWS; row += 4u) {
+        for (var row = quarter; row < rows_of_tile; row += 4u) {
             let k = ring_of(tile, row);
             if (k < level.rings) {
                 let node = level.first + k * level.nodes + j;
@@ -55,10 +56,10 @@ fn main(
     }
     workgroupBarrier();
     if (column >= 2u && column < tile.end + HIGH - 2u) {
-        const QUARTER = (ROWS - 4u + 3u) / 4u;
-        let start = 2u + QUARTER * quarter;
+        let quarter_rows = (rows_of_tile - 4u + 3u) / 4u;
+        let start = 2u + quarter_rows * quarter;
         var s = stencil_below(TILE_COLUMNS * start + column);
-        for (var row = start; row < min(start + QUARTER, ROWS - 2u); row++) {
+        for (var row = start; row < min(start + quarter_rows, rows_of_tile - 2u); row++) {
             let place = TILE_COLUMNS * row + column;
             let k = ring_of(tile, row);
             s = climbed(s, place);
@@ -70,7 +71,7 @@ fn main(
                 }
                 let x = relaxed(level, k, at.here, c, s, parameters.second_relaxation);
                 cells[PLACES + place] = x;
-                if (row >= LOW && row < LOW + TILE_RINGS && column >= LOW && column < tile.end) {
+                if (row >= LOW && row < LOW + rings && column >= LOW && column < tile.end) {
                     values[at.here] = x;
                 }
             }
@@ -78,10 +79,10 @@ fn main(
     }
     workgroupBarrier();
     if (column >= 4u && column < tile.end + HIGH - 4u) {
-        const QUARTER = (ROWS - 8u + 3u) / 4u;
-        let start = 4u + QUARTER * quarter;
+        let quarter_rows = (rows_of_tile - 8u + 3u) / 4u;
+        let start = 4u + quarter_rows * quarter;
         var s = stencil_below(PLACES + TILE_COLUMNS * start + column);
-        for (var row = start; row < min(start + QUARTER, ROWS - 4u); row++) {
+        for (var row = start; row < min(start + quarter_rows, rows_of_tile - 4u); row++) {
             let place = TILE_COLUMNS * row + column;
             let k = ring_of(tile, row);
             s = climbed(s, PLACES + place);
@@ -102,9 +103,9 @@ fn main(
     let nodes_halved = coarse.nodes != level.nodes;
     let first_k = select(tile.ring, tile.ring / 2u, rings_halved);
     let first_j = select(tile.node, tile.node / 2u, nodes_halved);
-    let more_k = select(TILE_RINGS, TILE_RINGS / 2u, rings_halved);
+    let more_k = select(rings, rings / 2u, rings_halved);
     let more_j = select(DESCEND_COLUMNS, DESCEND_COLUMNS / 2u, nodes_halved);
-    let end_k = select(first_k + more_k, coarse.rings, tile.ring + TILE_RINGS >= level.rings);
+    let end_k = select(first_k + more_k, coarse.rings, tile.ring + rings >= level.rings);
     let end_j = min(first_j + more_j, coarse.nodes);
     let across = select(64u, 32u, nodes_halved);
     let coarse_j = first_j + local % across;

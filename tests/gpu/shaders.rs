@@ -254,7 +254,7 @@ fn structures_have_the_same_layout() {
         arc, start, step_theta, in_plane, noise, per_noise, max_projection, gate, gate_radii, huber, weight_scale,
         weight_unit, rhs_scale, rhs_unit, along, around, twist, tolerance_square, max_steps,
         slope_nodes, slope_rings,
-        first_relaxation, second_relaxation);
+        first_relaxation, second_relaxation, low_tiles);
     for pass in self::sweep() {
         let module = module(pass);
         assert_eq!(layout(&module, "WallParameters"), job, "{}", pass.name);

@@ -24,7 +24,7 @@ pub fn device() -> Option<&'static Device<GpuWallEngine>> {
 /// (rings, nodes).
 const GRIDS: [(u32, u32); 7] = [(3, 8), (8, 9), (20, 60), (21, 61), (17, 100), (64, 256), (150, 130)];
 
-/// A parameters on such a grid, with everything known.
+/// A parameters on such a grid, with everything known; where it has an even number of rings, of low tiles.
 pub fn parameters(rings: u32, nodes: u32) -> WallParameters {
     let arc_mm = 2.0 * std::f64::consts::PI * 11.0 / f64::from(nodes);
     WallParameters {
@@ -32,6 +32,7 @@ pub fn parameters(rings: u32, nodes: u32) -> WallParameters {
         gated: 1,
         tolerance_square: 1e-3,
         max_steps: 7,
+        low_tiles: u32::from(rings % 2 == 0),
         ..WallParameters::new([rings, nodes], [1.2 * arc_mm, arc_mm], 11.0, 0.1)
     }
     .with_noise(0.7)
@@ -503,7 +504,7 @@ fn descend_and_ascend_are_their_twins() {
         let expected = of_levels(&results, levels, |l| (l < coarsest).then(|| of(l).0));
         numbers(&found, &expected, relaxed).unwrap();
         let sums = of(0).1;
-        assert_eq!(sums.len(), passes::tile_count(&levels[0], passes::ASCEND_COLUMNS) as usize);
+        assert_eq!(sums.len(), passes::tile_count(parameters, &levels[0], passes::ASCEND_COLUMNS) as usize);
         let summed = match relaxed {
             Tolerance::Roundings(..) => Tolerance::of(false, 128.0, 2048.0 * 8.0 * largest),
             exact => exact,
@@ -578,7 +579,7 @@ fn apply_is_its_twin() {
         let (expected, sums) = passes::apply(&parameters, &state, &rows, &results, &direction);
         let scale = 7.0 * 40.0 + 16.0 * f64::from(parameters.along + parameters.around + parameters.twist);
         numbers(&product, &expected, Tolerance::of(device.exact, 32.0, scale)).unwrap();
-        assert_eq!(sums.len(), passes::tile_count(&parameters.finest(), passes::APPLY_COLUMNS) as usize);
+        assert_eq!(sums.len(), passes::tile_count(&parameters, &parameters.finest(), passes::APPLY_COLUMNS) as usize);
         numbers(&words(&partials, sums.len()), &sums, Tolerance::of(device.exact, 128.0, 1200.0 * scale))
             .unwrap();
     }
@@ -647,7 +648,7 @@ fn cg_limit_cg_beta_and_cg_alpha_decide_as_their_twins() {
     for (rings, nodes) in GRIDS.into_iter().chain([(4000, 512)]) {
         let parameters = parameters(rings, nodes);
         let workspace = device.engine.prepare(&parameters, &[]).unwrap();
-        let tiles = |columns| passes::tile_count(&parameters.finest(), columns) as usize;
+        let tiles = |columns| passes::tile_count(&parameters, &parameters.finest(), columns) as usize;
         let begun = State { residual_square: 3.0, steps: 4, max_residual_square: 1e-3, ..State::default() };
         // Above and below what is enough, no numbers, the first step, the last one, and once it is done.
         for (low, high, state) in [

@@ -44,6 +44,8 @@ struct WallParameters {
     // products with constants.
     first_relaxation: f32,
     second_relaxation: f32,
+    // 1 where small grids have low tiles, which many workgroups share.
+    low_tiles: u32,
 }
 
 // A grid of the multigrid cycle, the finest first.

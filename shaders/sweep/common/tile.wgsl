@@ -8,18 +8,24 @@ struct Tile {
     node: u32,
     // Rows and columns of the margins before them.
     low: u32,
-    // The first column behind it; it has TILE_RINGS rows.
+    // The first column behind it.
     end: u32,
+}
+
+// The rows of a tile.
+fn tile_rings(level: Level) -> u32 {
+    return select(TILE_RINGS, LOW_TILE_RINGS, parameters.low_tiles != 0u && level.count < MANY_NODES);
 }
 
 // The number of tiles with that many columns.
 fn tile_count(level: Level, columns: u32) -> u32 {
-    return ((level.nodes + columns - 1u) / columns) * ((level.rings + TILE_RINGS - 1u) / TILE_RINGS);
+    let rings = tile_rings(level);
+    return ((level.nodes + columns - 1u) / columns) * ((level.rings + rings - 1u) / rings);
 }
 
 fn tile_of(level: Level, index: u32, columns: u32, low: u32) -> Tile {
     let across = (level.nodes + columns - 1u) / columns;
-    let ring = TILE_RINGS * (index / across);
+    let ring = tile_rings(level) * (index / across);
     let node = columns * (index % across);
     return Tile(ring, node, low, low + min(columns, level.nodes - node));
 }

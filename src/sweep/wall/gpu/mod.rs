@@ -175,9 +175,12 @@ impl GpuWallEngine {
             return Err(GpuError::Refused { what, reason: format!("{MAX_NODES} at most") }.into());
         }
         let (rings, nodes) = (grid.rings as u32, grid.nodes as u32);
-        let parameters =
-            WallParameters::new([rings, nodes], [grid.step_mm, grid.arc_mm], start_mm, OUT_OF_PLANE);
         let Runner { context, passes, .. } = &self.runner;
+        let parameters = WallParameters {
+            // A program on the CPU has few threads.
+            low_tiles: u32::from(!context.is_software()),
+            ..WallParameters::new([rings, nodes], [grid.step_mm, grid.arc_mm], start_mm, OUT_OF_PLANE)
+        };
         let start = Instant::now();
         let kept = {
             let mut kept = self.kept();

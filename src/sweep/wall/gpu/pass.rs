@@ -2,7 +2,7 @@
 
 use crate::gpu::shader::{constants, shader};
 use crate::sweep::wall::passes::{
-    APPLY_COLUMNS, ASCEND_COLUMNS, DESCEND_COLUMNS, FLOOR, MOST_COARSEST, MOST_OF_ONE, TILE_COLUMNS, TILE_RINGS,
+    APPLY_COLUMNS, ASCEND_COLUMNS, DESCEND_COLUMNS, FLOOR, LOW_TILE_RINGS, MANY_NODES, MOST_COARSEST, MOST_OF_ONE, TILE_COLUMNS, TILE_RINGS,
 };
 use std::fmt::Write;
 
@@ -83,6 +83,8 @@ fn solver_constants() -> String {
         ("MOST_COARSEST", MOST_COARSEST as u32),
         ("MOST_OF_ONE", MOST_OF_ONE),
         ("TILE_RINGS", TILE_RINGS),
+        ("LOW_TILE_RINGS", LOW_TILE_RINGS),
+        ("MANY_NODES", MANY_NODES),
         ("TILE_COLUMNS", TILE_COLUMNS),
         ("DESCEND_COLUMNS", DESCEND_COLUMNS),
         ("ASCEND_COLUMNS", ASCEND_COLUMNS),

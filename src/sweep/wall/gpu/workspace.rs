@@ -40,7 +40,7 @@ fn sizes(parameters: &WallParameters) -> Vec<(&'static str, u64)> {
     let nodes = u64::from(parameters.node_count);
     let levels = parameters.levels();
     let all = levels.iter().map(|level| u64::from(level.count)).sum::<u64>();
-    let tiles = [APPLY_COLUMNS, ASCEND_COLUMNS].map(|columns| u64::from(tile_count(&levels[0], columns)));
+    let tiles = [APPLY_COLUMNS, ASCEND_COLUMNS].map(|columns| u64::from(tile_count(parameters, &levels[0], columns)));
     // Of tiles, or two of each workgroup that moves nodes.
     let partials = tiles.into_iter().fold(2 * nodes.div_ceil(256), u64::max);
     vec![
@@ -274,7 +274,7 @@ impl WallWorkspace {
             Items::One | Items::CoarseGrids => 1,
             Items::Nodes => self.parameters.node_count.div_ceil(shader.workgroup_size),
             Items::Tiles(columns) | Items::LevelTiles(columns) => {
-                self.levels.get(level).map_or(0, |level| tile_count(level, *columns))
+                self.levels.get(level).map_or(0, |level| tile_count(&self.parameters, level, *columns))
             }
             Items::CoarserNodes => {
                 let count = self.levels.get(level + 1).map_or(0, |level| level.count);

@@ -23,6 +23,6 @@ pub fn apply(
             coupled(&level, rows, &along, k, j) + bending(&level, &along, k, j)
         })
         .collect();
-    let partials = tile_sums(&level, APPLY_COLUMNS, |node| along[node] * product[node]);
+    let partials = tile_sums(parameters, &level, APPLY_COLUMNS, |node| along[node] * product[node]);
     (product, partials)
 }

@@ -20,6 +20,6 @@ pub fn ascend(
     let values: Vec<f32> = (0..).zip(values).map(corrected).collect();
     let values = matrix.relaxed(right, &values, parameters.second_relaxation);
     let values = matrix.relaxed(right, &values, parameters.first_relaxation);
-    let partials = tile_sums(level, ASCEND_COLUMNS, |node| right[node] * values[node]);
+    let partials = tile_sums(parameters, level, ASCEND_COLUMNS, |node| right[node] * values[node]);
     (values, partials)
 }

@@ -61,5 +61,5 @@ pub use parameters::{BROKEN, CONVERGED, DeviceEcho, EXHAUSTED, Level, MOST_COARS
 pub use partials::sum_of_partials;
 pub use pick_digit::pick_digit;
 pub use sum::sum_of_workgroup;
-pub use tile::{APPLY_COLUMNS, ASCEND_COLUMNS, DESCEND_COLUMNS, TILE_COLUMNS, TILE_RINGS, tile_count};
+pub use tile::{APPLY_COLUMNS, ASCEND_COLUMNS, DESCEND_COLUMNS, LOW_TILE_RINGS, MANY_NODES, TILE_COLUMNS, TILE_RINGS, tile_count};
 pub use wall_residual::{MAX_CELLS, WallResidual, residual_to_wall};

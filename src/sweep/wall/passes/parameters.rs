@@ -73,6 +73,8 @@ pub struct WallParameters {
     pub first_relaxation: f32,
     /// … and of those between.
     pub second_relaxation: f32,
+    /// 1 where small grids have low tiles, which many workgroups share.
+    pub low_tiles: u32,
 }
 
 impl WallParameters {
