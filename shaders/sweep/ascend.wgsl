@@ -10,7 +10,7 @@
 @group(0) @binding(6) var<storage, read> values: array<f32>;
 // The cycle's results.
 @group(0) @binding(7) var<storage, read_write> results: array<f32>;
-@group(0) @binding(8) var<storage, read_write> partials: array<f32>;
+@group(0) @binding(8) var<storage, read_write> squares: array<f32>;
 
 // Each relaxation depends on two more nodes to all sides.
 const MARGIN = 4u;
@@ -95,7 +95,7 @@ fn main(
     if (level.first == 0u) {
         let sum = sum_of_workgroup(square, 256u, local);
         if (local == 0u) {
-            partials[index] = sum;
+            squares[index] = sum;
         }
     }
 }

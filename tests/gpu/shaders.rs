@@ -247,8 +247,9 @@ fn structures_have_the_same_layout() {
     let (size, fields) =
         fields!(sweep::passes::DeviceEcho: ring, ring_part, node, node_part, rise, step, normal);
     let echo = (size, flat(fields, "normal", ["normal_x", "normal_y", "normal_z"]));
-    let state = fields!(sweep::passes::State: prefix, rank, digits, done, steps, residual_square, alpha,
-        beta, max_residual_square);
+    let state = fields!(sweep::passes::State: prefix, rank, digits, done, steps, residual_square,
+        max_residual_square);
+    let next_step = fields!(sweep::passes::NextStep: ends, square, beta);
     let level = fields!(sweep::passes::Level: rings, nodes, count, first, coarser, along, around, twist);
     let job = fields!(sweep::passes::WallParameters: rings, nodes, node_count, echoes, project, gated, step,
         arc, start, step_theta, in_plane, noise, per_noise, max_projection, gate, gate_radii, huber, weight_scale,
@@ -260,6 +261,7 @@ fn structures_have_the_same_layout() {
         assert_eq!(layout(&module, "WallParameters"), job, "{}", pass.name);
         assert_eq!(layout(&module, "Echo"), echo, "{}", pass.name);
         assert_eq!(layout(&module, "State"), state, "{}", pass.name);
+        assert_eq!(layout(&module, "NextStep"), next_step, "{}", pass.name);
         assert_eq!(layout(&module, "Level"), level, "{}", pass.name);
     }
 

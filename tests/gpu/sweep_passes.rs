@@ -5,7 +5,7 @@ use crate::device::{Device, POISON, Readback};
 use crate::nudge::{Nudge, nudges};
 use crate::sections::seeded;
 use lumenmesh::low_level::sweep::gpu::GpuWallEngine;
-use lumenmesh::low_level::sweep::passes::{self, DeviceEcho, Level, Matrix, State, WallParameters};
+use lumenmesh::low_level::sweep::passes::{self, DeviceEcho, Level, Matrix, NextStep, State, WallParameters};
 use rand::RngExt;
 use std::sync::OnceLock;
 
@@ -85,8 +85,6 @@ const SOLVED: State = State {
     done: passes::CONVERGED,
     steps: 4,
     residual_square: 3.0,
-    alpha: 0.37,
-    beta: 0.61,
     max_residual_square: 0.01,
 };
 
@@ -496,7 +494,7 @@ fn descend_and_ascend_are_their_twins() {
             &[("rights", bytes(&rights)), ("values", bytes(&values)), ("results", bytes(&results))],
         ]
         .concat();
-        let [found, partials] = device.run(&workspace, "ascend", &inputs, ["results", "partials"]);
+        let [found, squares] = device.run(&workspace, "ascend", &inputs, ["results", "squares"]);
         let of = |l: usize| {
             let [right, before] = [&rights, &values].map(|all| grids.of(l, all));
             passes::ascend(&grids.matrix(l), &levels[l + 1], grids.of(l + 1, &results), right, before)
@@ -509,7 +507,7 @@ fn descend_and_ascend_are_their_twins() {
             Tolerance::Roundings(..) => Tolerance::of(false, 128.0, 2048.0 * 8.0 * largest),
             exact => exact,
         };
-        numbers(&words(&partials, sums.len()), &sums, summed).unwrap();
+        numbers(&words(&squares, sums.len()), &sums, summed).unwrap();
     }
 }
 
@@ -568,20 +566,31 @@ fn apply_is_its_twin() {
         let workspace = device.engine.prepare(&parameters, &[]).unwrap();
         let (rows, _) = passes::assemble(&parameters, &sums(&parameters, 13), &vec![0.0; count]);
         let [results, direction] = [14, 20].map(|seed| random(count, -0.7..0.7, seed));
-        let state = State { beta: 0.4, ..State::default() };
+        // Their sum is the residual's square, four times that of the step before.
+        let tiles = passes::tile_count(&parameters, &parameters.finest(), passes::ASCEND_COLUMNS) as usize;
+        let squares = vec![1.2 / tiles as f32; tiles];
+        let before = State { residual_square: 3.0, steps: 4, max_residual_square: 1e-3, ..State::default() };
         let inputs = [
-            ("state", bytemuck::bytes_of(&state)),
+            ("state", bytemuck::bytes_of(&before)),
+            ("squares", bytes(&squares)),
             ("rows", bytes(rows.as_flattened())),
             ("results", bytes(&results)),
             ("direction", bytes(&direction)),
         ];
-        let [product, partials] = device.run(&workspace, "apply", &inputs, ["product", "partials"]);
-        let (expected, sums) = passes::apply(&parameters, &state, &rows, &results, &direction);
+        let outputs = ["next_step", "product", "curvatures"];
+        let [found, product, curvatures] = device.run(&workspace, "apply", &inputs, outputs);
+        let applied = passes::apply(&parameters, &before, &squares, &rows, &results, &direction);
+        same_step(device, &found, applied.next_step);
+        assert!((applied.next_step.beta - 0.4).abs() < 1e-5 && applied.next_step.ends == 0);
+        let (expected, sums) = (applied.product, applied.curvatures);
         let scale = 7.0 * 40.0 + 16.0 * f64::from(parameters.along + parameters.around + parameters.twist);
         numbers(&product, &expected, Tolerance::of(device.exact, 32.0, scale)).unwrap();
-        assert_eq!(sums.len(), passes::tile_count(&parameters, &parameters.finest(), passes::APPLY_COLUMNS) as usize);
-        numbers(&words(&partials, sums.len()), &sums, Tolerance::of(device.exact, 128.0, 1200.0 * scale))
-            .unwrap();
+        assert_eq!(
+            sums.len(),
+            passes::tile_count(&parameters, &parameters.finest(), passes::APPLY_COLUMNS) as usize
+        );
+        let tolerance = Tolerance::of(device.exact, 128.0, 1200.0 * scale);
+        numbers(&words(&curvatures, sums.len()), &sums, tolerance).unwrap();
     }
 }
 
@@ -593,21 +602,29 @@ fn the_steps_of_conjugate_gradients_are_their_twins() {
         let count = parameters.node_count as usize;
         let workspace = device.engine.prepare(&parameters, &[]).unwrap();
         let [a, b, c, d, e] = [15, 16, 17, 18, 19].map(|seed| random(count, -2.0..2.0, seed));
-        let begun = State { residual_square: 3.0, alpha: 0.37, beta: 0.61, steps: 4, ..State::default() };
+        let begun = State { steps: 4, ..State::default() };
+        let next_step = NextStep { ends: 0, square: 1.1, beta: 0.61 };
         let tolerance = Tolerance::of(device.exact, 4.0, 4.0);
 
+        let tiles = passes::tile_count(&parameters, &parameters.finest(), passes::APPLY_COLUMNS) as usize;
+        let curvatures = random(tiles, 0.5..1.5, 20);
         let inputs = [
             ("state", bytemuck::bytes_of(&begun)),
+            ("next_step", bytemuck::bytes_of(&next_step)),
+            ("curvatures", bytes(&curvatures)),
             ("results", bytes(&a)),
             ("product", bytes(&b)),
             ("direction", bytes(&e)),
             ("change", bytes(&c)),
             ("rights", bytes(&d)),
         ];
-        let [direction, change, residual] =
-            device.run(&workspace, "cg_step", &inputs, ["direction", "change", "rights"]);
+        let [found, direction, change, residual] =
+            device.run(&workspace, "cg_step", &inputs, ["state", "direction", "change", "rights"]);
         let (mut along, mut x, mut left) = (e.clone(), c.clone(), d.clone());
-        passes::cg_step(&begun, &a, &b, &mut along, &mut x, &mut left);
+        let mut state = begun;
+        passes::cg_step(&mut state, &next_step, &curvatures, &a, &b, [&mut along, &mut x, &mut left]);
+        assert_eq!((state.steps, state.residual_square), (5, 1.1));
+        same_state(device, &found, state);
         numbers(&direction, &along, tolerance).unwrap();
         numbers(&change, &x, tolerance).unwrap();
         numbers(&words(&residual, count), &left, tolerance).unwrap();
@@ -616,7 +633,7 @@ fn the_steps_of_conjugate_gradients_are_their_twins() {
         let rows: Vec<[f32; 4]> = c.iter().map(|&x| [x.abs(), f32::NAN, f32::NAN, f32::NAN]).collect();
         let inputs =
             [("state", bytes(&solved)), ("change", bytes(&a)), ("rows", bytes(&rows)), ("wall", bytes(&b))];
-        let [wall, ways] = device.run(&workspace, "move_wall", &inputs, ["wall", "partials"]);
+        let [wall, ways] = device.run(&workspace, "move_wall", &inputs, ["wall", "travels"]);
         let mut expected = b.clone();
         let sums = passes::move_wall(&parameters, &a, &rows, &mut expected);
         let sums = sums.as_flattened();
@@ -634,22 +651,40 @@ fn same_state(device: &Device<GpuWallEngine>, found: &Readback, expected: State)
     assert_eq!((found.done, found.steps), (expected.done, expected.steps));
     for (a, b) in [
         (found.residual_square, expected.residual_square),
-        (found.alpha, expected.alpha),
-        (found.beta, expected.beta),
         (found.max_residual_square, expected.max_residual_square),
     ] {
         assert!((a - b).abs() <= 1e-5 * (1.0 + b.abs()), "{a} {b}");
     }
 }
 
+/// A next step's words, those of its numbers apart.
+fn same_step(device: &Device<GpuWallEngine>, found: &Readback, expected: NextStep) {
+    if device.exact {
+        return integers(found, bytemuck::cast_slice(&[expected])).unwrap();
+    }
+    let found: NextStep = bytemuck::pod_read_unaligned(bytemuck::cast_slice(&found.words));
+    assert_eq!(found.ends, expected.ends);
+    for (a, b) in [(found.square, expected.square), (found.beta, expected.beta)] {
+        assert!(a.is_nan() && b.is_nan() || a == b || (a - b).abs() <= 1e-5 * (1.0 + b.abs()), "{a} {b}");
+    }
+}
+
 #[test]
-fn cg_limit_cg_beta_and_cg_alpha_decide_as_their_twins() {
+fn cg_limit_apply_and_cg_step_decide_as_their_twins() {
     let Some(device) = device() else { return };
-    for (rings, nodes) in GRIDS.into_iter().chain([(4000, 512)]) {
+    for (rings, nodes) in GRIDS.into_iter().chain([(2000, 512)]) {
         let parameters = parameters(rings, nodes);
         let workspace = device.engine.prepare(&parameters, &[]).unwrap();
-        let tiles = |columns| passes::tile_count(&parameters, &parameters.finest(), columns) as usize;
-        let begun = State { residual_square: 3.0, steps: 4, max_residual_square: 1e-3, ..State::default() };
+        let tiles =
+            |columns| passes::tile_count(&parameters, &parameters.finest(), columns) as usize;
+        let count = parameters.node_count as usize;
+        let (none, rows) = (vec![0.0_f32; count], vec![[0.0_f32; 4]; count]);
+        let begun = State {
+            residual_square: 3.0,
+            steps: 4,
+            max_residual_square: 1e-3,
+            ..State::default()
+        };
         // Above and below what is enough, no numbers, the first step, the last one, and once it is done.
         for (low, high, state) in [
             (0.0, 2.0, begun),
@@ -666,32 +701,49 @@ fn cg_limit_cg_beta_and_cg_alpha_decide_as_their_twins() {
                 false => random(count, low..high, 19),
             };
             let finite = low.is_finite() && high.is_finite();
-            for (pass, columns) in [
-                ("cg_limit", passes::ASCEND_COLUMNS),
-                ("cg_beta", passes::ASCEND_COLUMNS),
-                ("cg_alpha", passes::APPLY_COLUMNS),
+            for (pass, buffer, columns) in [
+                ("cg_limit", "squares", passes::ASCEND_COLUMNS),
+                ("apply", "squares", passes::ASCEND_COLUMNS),
+                ("cg_step", "curvatures", passes::APPLY_COLUMNS),
             ] {
-                let partials = partials(tiles(columns));
                 if pass == "cg_limit" && !finite {
                     continue;
                 }
-                let inputs = [("partials", bytes(&partials)), ("state", bytemuck::bytes_of(&state))];
-                let [found] = device.run(&workspace, pass, &inputs, ["state"]);
-                let mut expected = state;
+                let partials = partials(tiles(columns));
+                let step = NextStep { ends: state.done, square: 2.0, beta: 0.5 };
+                let mut inputs = vec![(buffer, bytes(&partials)), ("state", bytemuck::bytes_of(&state))];
+                inputs.push(("next_step", bytemuck::bytes_of(&step)));
+                let zeroed = ["results", "direction", "product", "change", "rights"];
+                inputs.extend(zeroed.map(|name| (name, bytes(&none))));
+                inputs.push(("rows", bytes(&rows)));
+                let [found, found_step] = device.run(&workspace, pass, &inputs, ["state", "next_step"]);
+                let (mut expected, mut expected_step) = (state, step);
                 match pass {
                     "cg_limit" => passes::cg_limit(&parameters, &partials, &mut expected),
-                    "cg_beta" => passes::cg_beta(&parameters, &partials, &mut expected),
-                    _ => passes::cg_alpha(&partials, &mut expected),
-                }
-                if pass == "cg_beta" && state.steps == 7 {
-                    assert_eq!(expected.done, passes::EXHAUSTED);
-                }
-                if state.done == 0 && (!finite || (pass == "cg_alpha" && high < 0.0)) {
-                    assert_eq!(expected.done, passes::BROKEN, "{pass} from {low} to {high}");
+                    "apply" if state.done == 0 => {
+                        let applied = passes::apply(&parameters, &state, &partials, &rows, &none, &none);
+                        expected_step = applied.next_step;
+                        let of_steps = if state.steps == 7 { passes::EXHAUSTED } else { expected_step.ends };
+                        let ends = if finite { of_steps } else { passes::BROKEN };
+                        assert_eq!(expected_step.ends, ends, "{low} to {high}");
+                    }
+                    "apply" => {}
+                    _ => {
+                        let [mut a, mut b, mut c] = [none.clone(), none.clone(), none.clone()];
+                        let vectors = [&mut a[..], &mut b, &mut c];
+                        passes::cg_step(&mut expected, &step, &partials, &none, &none, vectors);
+                        if state.done == 0 && (!finite || high < 0.0) {
+                            assert_eq!(expected.done, passes::BROKEN, "{low} to {high}");
+                        }
+                    }
                 }
                 match expected == state {
                     true => assert_eq!(found.words, found.before),
                     false => same_state(device, &found, expected),
+                }
+                match expected_step == step {
+                    true => assert_eq!(found_step.words, found_step.before),
+                    false => same_step(device, &found_step, expected_step),
                 }
             }
         }
@@ -703,7 +755,8 @@ fn nothing_moves_once_the_solver_is_done() {
     let Some(device) = device() else { return };
     let parameters = parameters(17, 100);
     let workspace = device.engine.prepare(&parameters, &[]).unwrap();
-    let done = [State { done: 1, residual_square: 1.0, alpha: 1.0, beta: 1.0, ..State::default() }];
+    let done = [State { done: 1, residual_square: 1.0, ..State::default() }];
+    let next_step = [NextStep { ends: 1, square: 1.0, beta: 1.0 }];
     let ones = vec![1.0_f32; parameters.node_count as usize];
     for (pass, output) in [
         ("descend", "values"),
@@ -716,7 +769,7 @@ fn nothing_moves_once_the_solver_is_done() {
         ("cg_step", "rights"),
     ] {
         let names = ["values", "results", "direction", "rights", "product", "change"];
-        let mut inputs = vec![("state", bytes(&done))];
+        let mut inputs = vec![("state", bytes(&done)), ("next_step", bytes(&next_step))];
         inputs.extend(names.iter().map(|&name| (name, bytes(&ones))));
         let [read] = device.run(&workspace, pass, &inputs, [output]);
         assert_eq!(read.words, read.before, "{pass}");
@@ -754,8 +807,8 @@ fn data_of_the_cpu_passed_as_the_device_s_fail() {
     let parameters = parameters(8, 9);
     let workspace = device.engine.prepare(&parameters, &[]).unwrap();
     let of_cpu = random(parameters.node_count as usize, -2.0..2.0, 20);
-    let done = State { done: 1, ..State::default() };
-    let inputs = [("rights", bytes(&of_cpu)), ("state", bytemuck::bytes_of(&done))];
+    let done = NextStep { ends: 1, ..NextStep::default() };
+    let inputs = [("rights", bytes(&of_cpu)), ("next_step", bytemuck::bytes_of(&done))];
     let [residual] = device.run(&workspace, "cg_step", &inputs, ["rights"]);
     let residual = words(&residual, of_cpu.len());
     assert_eq!(residual.numbers(), of_cpu);
@@ -767,5 +820,5 @@ fn an_unknown_pass_or_buffer_is_refused() {
     let Some(device) = device() else { return };
     let workspace = device.engine.prepare(&parameters(8, 9), &[]).unwrap();
     assert!(device.engine.run_pass(&workspace, "no such pass", &[], &[]).is_err());
-    assert!(device.engine.run_pass(&workspace, "cg_beta", &[], &["no such buffer"]).is_err());
+    assert!(device.engine.run_pass(&workspace, "cg_limit", &[], &["no such buffer"]).is_err());
 }

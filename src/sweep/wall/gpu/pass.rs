@@ -44,6 +44,8 @@ pub enum Items {
     One,
     /// One invocation per node.
     Nodes,
+    /// One workgroup per 1024 nodes.
+    NodeBlocks,
     /// One workgroup per tile of the finest grid with that many columns.
     Tiles(u32),
     /// One workgroup per tile of a grid that has a coarser one.
@@ -113,7 +115,7 @@ macro_rules! pass {
 }
 
 /// Every pass, in the order in which they run; those of the multigrid cycle run grid by grid.
-pub static PASSES: [Pass; 17] = [
+pub static PASSES: [Pass; 15] = [
     pass!("measure", Measure, Echoes, 256, [WALL_RESIDUAL], [
         "state": Read, "echoes": Read, "wall": Read, "shifts": Write, "residuals": Write,
     ]),
@@ -145,20 +147,18 @@ pub static PASSES: [Pass; 17] = [
         STENCIL, TILE, CLIMB, BENDING, COUPLED, MATRIX, TRANSFER, INTERPOLATED, SUM
     ], [
         "state": Read, "levels": Read, "rows": Read, "own": Read, "rights": Read, "values": Read, "results": Write,
-        "partials": Write,
+        "squares": Write,
     ]),
-    pass!("cg_limit", Limit, One, 256, [TILE, PARTIALS, SUM], ["partials": Read, "state": Write]),
-    pass!("cg_beta", Step, One, 256, [TILE, PARTIALS, SUM], ["partials": Read, "state": Write]),
-    pass!("apply", Step, Tiles(APPLY_COLUMNS), 256, [STENCIL, TILE, CLIMB, BENDING, COUPLED, SUM], [
-        "state": Read, "rows": Read, "preconditioned" = "results": Read, "direction": Read, "product": Write,
-        "partials": Write,
+    pass!("cg_limit", Limit, One, 256, [TILE, PARTIALS, SUM], ["partials" = "squares": Read, "state": Write]),
+    pass!("apply", Step, Tiles(APPLY_COLUMNS), 256, [STENCIL, TILE, CLIMB, BENDING, COUPLED, PARTIALS, SUM], [
+        "state": Read, "next_step": Write, "partials" = "squares": Read, "rows": Read, "preconditioned" = "results": Read,
+        "direction": Read, "product": Write, "curvatures": Write,
     ]),
-    pass!("cg_alpha", Step, One, 256, [TILE, PARTIALS, SUM], ["partials": Read, "state": Write]),
-    pass!("cg_step", Step, Nodes, 256, [], [
-        "state": Read, "preconditioned" = "results": Read, "product": Read, "direction": Write, "change": Write,
-        "cg_residual" = "rights": Write,
+    pass!("cg_step", Step, NodeBlocks, 256, [TILE, PARTIALS, SUM], [
+        "state": Write, "next_step": Read, "partials" = "curvatures": Read, "preconditioned" = "results": Read, "product": Read,
+        "direction": Write, "change": Write, "cg_residual" = "rights": Write,
     ]),
     pass!("move_wall", Move, Nodes, 256, [SUM], [
-        "state": Read, "change": Read, "rows": Read, "wall": Write, "partials": Write,
+        "state": Read, "change": Read, "rows": Read, "wall": Write, "travels": Write,
     ]),
 ];

@@ -4,7 +4,7 @@ use super::ReadyPass;
 use super::pass::{Items, Pass};
 use crate::gpu::{Buffers, Context, GpuError, Timer, checked, dispatch_size};
 use crate::sweep::wall::passes::{
-    APPLY_COLUMNS, ASCEND_COLUMNS, DeviceEcho, Level, MOST_OF_ONE, State, WallParameters, tile_count,
+    APPLY_COLUMNS, ASCEND_COLUMNS, DeviceEcho, Level, MOST_OF_ONE, NextStep, State, WallParameters, tile_count,
 };
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -40,11 +40,10 @@ fn sizes(parameters: &WallParameters) -> Vec<(&'static str, u64)> {
     let nodes = u64::from(parameters.node_count);
     let levels = parameters.levels();
     let all = levels.iter().map(|level| u64::from(level.count)).sum::<u64>();
-    let tiles = [APPLY_COLUMNS, ASCEND_COLUMNS].map(|columns| u64::from(tile_count(parameters, &levels[0], columns)));
-    // Of tiles, or two of each workgroup that moves nodes.
-    let partials = tiles.into_iter().fold(2 * nodes.div_ceil(256), u64::max);
+    let tiles = |columns| u64::from(tile_count(parameters, &levels[0], columns));
     vec![
         ("state", size_of::<State>() as u64),
+        ("next_step", size_of::<NextStep>() as u64),
         ("counts", 4 * 256),
         ("levels", LEVEL_BYTES * levels.len() as u64),
         ("wall", 4 * nodes),
@@ -58,7 +57,9 @@ fn sizes(parameters: &WallParameters) -> Vec<(&'static str, u64)> {
         ("direction", 4 * nodes),
         ("product", 4 * nodes),
         ("change", 4 * nodes),
-        ("partials", 4 * partials),
+        ("squares", 4 * tiles(ASCEND_COLUMNS)),
+        ("curvatures", 4 * tiles(APPLY_COLUMNS)),
+        ("travels", 8 * nodes.div_ceil(256)),
     ]
 }
 
@@ -272,6 +273,7 @@ impl WallWorkspace {
                 return Ok(());
             }
             Items::One | Items::CoarseGrids => 1,
+            Items::NodeBlocks => self.parameters.node_count.div_ceil(1024),
             Items::Nodes => self.parameters.node_count.div_ceil(shader.workgroup_size),
             Items::Tiles(columns) | Items::LevelTiles(columns) => {
                 self.levels.get(level).map_or(0, |level| tile_count(&self.parameters, level, *columns))
