@@ -36,7 +36,9 @@ fn main(
         sum(node, 2u, parameters.weight_unit),
         sum(node, 3u, parameters.weight_unit),
     );
-    let gradient = bending(finest(), node / parameters.nodes, node % parameters.nodes);
+    let k = node / parameters.nodes;
+    let at = places_of(finest(), k, node % parameters.nodes);
+    let gradient = bending(finest(), k, stencil_at(finest(), k, at, parameters.nodes));
     product[node] = sum(node, 4u, parameters.rhs_unit) - gradient * parameters.per_noise;
     change[node] = 0.0;
     direction[node] = 0.0;

@@ -23,5 +23,8 @@ fn main(
         return;
     }
     let of_echoes = mean_of(Wide(sums_low[5u * node + 4u], sums_high[5u * node + 4u]), parameters.rhs_unit, 1u);
-    cg_residual[node] = coupled(finest(), node / parameters.nodes, node % parameters.nodes) + of_echoes;
+    let k = node / parameters.nodes;
+    let at = places_of(finest(), k, node % parameters.nodes);
+    let couplings = couplings_at(k, at, parameters.nodes);
+    cg_residual[node] = coupled(finest(), k, couplings, stencil_at(finest(), k, at, parameters.nodes)) + of_echoes;
 }

@@ -6,7 +6,7 @@
 
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) local: u32) {
-    let square = sum_of_partials((parameters.node_count + 255u) / 256u, local);
+    let square = sum_of_partials(tile_count(finest(), ASCEND_COLUMNS), local);
     if (local == 0u) {
         state.max_residual_square = parameters.tolerance_square * square;
     }

@@ -4,8 +4,9 @@
 @group(0) @binding(1) var<storage, read> levels: array<Level>;
 @group(0) @binding(2) var<storage, read_write> own: array<vec2f>;
 
-fn fine_value(node: u32) -> f32 {
-    return own[node].x;
+fn fine_value(fine: Level, coarse: Level, ring: u32, u: u32, j: u32) -> f32 {
+    let node = candidate(u, j, fine.nodes, coarse.nodes, true);
+    return own[fine.first + ring * fine.nodes + node].x;
 }
 
 @compute @workgroup_size(64)

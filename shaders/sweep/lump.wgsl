@@ -21,5 +21,8 @@ fn main(
     }
     let level = finest();
     let k = node / level.nodes;
-    own[node] = vec2f(coupled(level, k, node % level.nodes), 1.0 / (rows[node].x + diagonal(level, k)));
+    let at = places_of(level, k, node % level.nodes);
+    let couplings = couplings_at(k, at, level.nodes);
+    let weight = coupled(level, k, couplings, stencil_at(level, k, at, level.nodes));
+    own[node] = vec2f(weight, 1.0 / (rows[node].x + diagonal(level, k)));
 }

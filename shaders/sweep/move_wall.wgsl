@@ -6,7 +6,7 @@
 @group(0) @binding(2) var<storage, read> change: array<f32>;
 @group(0) @binding(3) var<storage, read> rows: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> wall: array<f32>;
-@group(0) @binding(5) var<storage, read_write> partials: array<f32>;
+@group(0) @binding(5) var<storage, read_write> travels: array<f32>;
 
 @compute @workgroup_size(256)
 fn main(
@@ -27,13 +27,13 @@ fn main(
         weight = rows[node].x;
         weighted = weight * abs(travel);
     }
-    let travels = sum_of_workgroup(weighted, 256u, local);
+    let travelled = sum_of_workgroup(weighted, 256u, local);
     if (local == 0u) {
-        partials[2u * index] = travels;
+        travels[2u * index] = travelled;
     }
     workgroupBarrier();
     let weights = sum_of_workgroup(weight, 256u, local);
     if (local == 0u) {
-        partials[2u * index + 1u] = weights;
+        travels[2u * index + 1u] = weights;
     }
 }

@@ -155,6 +155,7 @@ fn print_sweep(row: &SweepRow) {
     println!("  cpu, fitting            {:>10.3} ms", row.cpu_ms);
     let Some(device) = &row.device else { return };
     println!("  device, fitting         {}", times(&device.fit));
+    println!("    the first             {:>10.3} ms", device.first_ms);
     print_end_to_end(&device.of_it);
     for pass in &device.passes {
         println!("      {:<20}{:>10.3} ms", pass.name, pass.ms);

@@ -98,6 +98,24 @@ impl Sweep {
         })
     }
 
+    /// What fits the wall of a recording by an engine on a device, as often as it is called and with nothing between, and
+    /// returns the seconds that it took.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn fits<'a>(
+        recording: &Recording,
+        settings: &'a Settings,
+        device: &'a GpuWallEngine,
+    ) -> Result<impl FnMut() -> Result<f64> + 'a> {
+        let prepared = Prepared::of(recording, settings)?;
+        let mut echoes = prepared.echoes(&prepared.sensors());
+        Ok(move || {
+            let mut seconds = 0.0;
+            let fit = || engine::fit_on_device(&prepared.grid, &mut echoes, settings, device, &|| Ok(()));
+            timed(&mut seconds, fit)?;
+            Ok(seconds)
+        })
+    }
+
     fn fitted(
         recording: &Recording,
         settings: &Settings,

@@ -100,12 +100,13 @@ const TWINS: [(&str, &str); 5] = [
 ];
 
 /// Shaders without a twin, and the reason.
-const WITHOUT_TWIN: [(&str, &str); 7] = [
+const WITHOUT_TWIN: [(&str, &str); 8] = [
     ("shaders/cylinders/common/listing.wgsl", "it is a part of passes whose twin lists faces"),
     ("shaders/cylinders/common/points.wgsl", "it is a part of bin and scatter"),
     ("shaders/cylinders/group_few.wgsl", "it does what bin, the prefix sums and scatter do"),
     ("shaders/cylinders/common/eight_keys.wgsl", "it is a part of the passes over faces with few points"),
     ("shaders/cylinders/measure_few.wgsl", "it does what measure_short does, with other invocations"),
+    ("shaders/sweep/common/climb.wgsl", "it keeps in registers what the CPU reads again"),
     ("shaders/common/dispatch.wgsl", "it numbers workgroups, which the CPU does not have"),
     (
         "shaders/cylinders/measure_short_shared.wgsl",
@@ -261,19 +262,21 @@ fn structures_have_the_same_layout() {
     let (size, fields) =
         fields!(sweep::passes::DeviceEcho: ring, ring_part, node, node_part, rise, step, normal);
     let echo = (size, flat(fields, "normal", ["normal_x", "normal_y", "normal_z"]));
-    let state = fields!(sweep::passes::State: prefix, rank, digits, done, steps, residual_square, alpha,
-        beta, max_residual_square);
+    let state = fields!(sweep::passes::State: prefix, rank, digits, done, steps, residual_square,
+        max_residual_square);
+    let next_step = fields!(sweep::passes::NextStep: ends, square, beta);
     let level = fields!(sweep::passes::Level: rings, nodes, count, first, coarser, along, around, twist);
     let job = fields!(sweep::passes::WallParameters: rings, nodes, node_count, echoes, project, gated, step,
         arc, start, step_theta, in_plane, noise, per_noise, max_projection, gate, gate_radii, huber, weight_scale,
         weight_unit, rhs_scale, rhs_unit, along, around, twist, tolerance_square, max_steps,
         slope_nodes, slope_rings,
-        first_relaxation, second_relaxation);
+        first_relaxation, second_relaxation, low_tiles);
     for pass in self::sweep() {
         let module = module(pass);
         assert_eq!(layout(&module, "WallParameters"), job, "{}", pass.name);
         assert_eq!(layout(&module, "Echo"), echo, "{}", pass.name);
         assert_eq!(layout(&module, "State"), state, "{}", pass.name);
+        assert_eq!(layout(&module, "NextStep"), next_step, "{}", pass.name);
         assert_eq!(layout(&module, "Level"), level, "{}", pass.name);
     }
 

@@ -5,7 +5,7 @@ use crate::device::{Device, POISON, Readback};
 use crate::nudge::{Nudge, nudges};
 use crate::sections::seeded;
 use lumenmesh::low_level::sweep::gpu::GpuWallEngine;
-use lumenmesh::low_level::sweep::passes::{self, DeviceEcho, Level, Matrix, State, WallParameters};
+use lumenmesh::low_level::sweep::passes::{self, DeviceEcho, Level, Matrix, NextStep, State, WallParameters};
 use rand::RngExt;
 use std::sync::OnceLock;
 
@@ -20,10 +20,11 @@ pub fn device() -> Option<&'static Device<GpuWallEngine>> {
     DEVICE.get_or_init(open).as_ref()
 }
 
-/// Grids about the 64 and 256 invocations of a workgroup, one with a prime number of nodes: (rings, nodes).
-const GRIDS: [(u32, u32); 7] = [(3, 8), (8, 9), (15, 64), (16, 67), (17, 100), (64, 256), (150, 130)];
+/// Grids about the 20 rings and 60 nodes of a tile and the 256 invocations of a workgroup, one with a prime number of nodes:
+/// (rings, nodes).
+const GRIDS: [(u32, u32); 7] = [(3, 8), (8, 9), (20, 60), (21, 61), (17, 100), (64, 256), (150, 130)];
 
-/// A parameters on such a grid, with everything known.
+/// A parameters on such a grid, with everything known; where it has an even number of rings, of low tiles.
 pub fn parameters(rings: u32, nodes: u32) -> WallParameters {
     let arc_mm = 2.0 * std::f64::consts::PI * 11.0 / f64::from(nodes);
     WallParameters {
@@ -31,6 +32,7 @@ pub fn parameters(rings: u32, nodes: u32) -> WallParameters {
         gated: 1,
         tolerance_square: 1e-3,
         max_steps: 7,
+        low_tiles: u32::from(rings % 2 == 0),
         ..WallParameters::new([rings, nodes], [1.2 * arc_mm, arc_mm], 11.0, 0.1)
     }
     .with_noise(0.7)
@@ -83,8 +85,6 @@ const SOLVED: State = State {
     done: passes::CONVERGED,
     steps: 4,
     residual_square: 3.0,
-    alpha: 0.37,
-    beta: 0.61,
     max_residual_square: 0.01,
 };
 
@@ -441,111 +441,83 @@ impl Grids {
     }
 }
 
-/// Grids that have many coarser ones and few, whose numbers of rings and nodes are odd and even.
-const MULTIGRIDS: [(u32, u32); 6] = [(3, 8), (8, 9), (17, 100), (64, 256), (151, 65), (700, 16)];
+/// Grids that have many coarser ones and few, whose numbers of rings and nodes are odd and even, or just those of a tile.
+const MULTIGRIDS: [(u32, u32); 8] =
+    [(3, 8), (8, 9), (17, 100), (20, 54), (41, 57), (64, 256), (151, 65), (700, 16)];
+
+/// What a pass over each grid but the coarsest leaves in a buffer with all grids' nodes: what its twin computed for a grid,
+/// where it writes there, and what was there before.
+fn of_levels(before: &[f32], levels: &[Level], written: impl Fn(usize) -> Option<Vec<f32>>) -> Vec<f32> {
+    let mut all = before.to_vec();
+    for (l, level) in levels.iter().enumerate() {
+        if let Some(of_grid) = written(l) {
+            all[level.first as usize..][..level.count as usize].copy_from_slice(&of_grid);
+        }
+    }
+    all
+}
 
 #[test]
-fn the_passes_of_the_multigrid_cycle_are_their_twins() {
+fn descend_and_ascend_are_their_twins() {
     let Some(device) = device() else { return };
     for (rings, nodes) in MULTIGRIDS {
         let grids = Grids::new(rings, nodes);
         let Grids { parameters, levels, rows, own } = &grids;
         let workspace = device.engine.prepare(parameters, &[]).unwrap();
-        let [rights, values, others] = [31, 32, 33].map(|seed| grids.random(seed));
+        let [rights, values, results] = [31, 32, 33].map(|seed| grids.random(seed));
         let all: Vec<f32> = own.iter().flatten().flatten().copied().collect();
         let state = [State::default()];
-        let known = [
-            ("state", bytes(&state)),
-            ("rows", bytes(rows.as_flattened())),
-            ("own", bytes(&all)),
-            ("rights", bytes(&rights)),
-        ];
-        let with = |more: &[(&'static str, &'static str)]| {
-            let bytes_of = |name: &str| if name == "values" { bytes(&values) } else { bytes(&others) };
-            let more = more.iter().map(|(name, of)| (*name, bytes_of(of)));
-            known.iter().copied().chain(more).collect::<Vec<_>>()
-        };
-        let of_levels =
-            |pass: &dyn Fn(usize) -> Vec<f32>| (0..levels.len()).flat_map(pass).collect::<Vec<f32>>();
+        let known = [("state", bytes(&state)), ("rows", bytes(rows.as_flattened())), ("own", bytes(&all))];
         // Matrices have up to a dozen roundings of numbers as large as their diagonals times two.
         let largest = own.iter().flatten().fold(0.0_f64, |most, own| most.max(f64::from(own[1]).recip()));
         let relaxed = Tolerance::of(device.exact, 64.0, 8.0 * largest * f64::from(all[1]).max(1.0));
         let left = Tolerance::of(device.exact, 64.0, 8.0 * largest);
+        let coarsest = levels.len() - 1;
 
-        let [found] = device.run(&workspace, "remainder", &with(&[("values", "values")]), ["others"]);
-        let of = |l: usize| passes::remainder(&grids.matrix(l), grids.of(l, &rights), grids.of(l, &values));
-        numbers(&found, &of_levels(&of), left).unwrap();
-
-        let [found] = device.run(&workspace, "smooth_zero", &with(&[]), ["others"]);
-        let expected = passes::smooth_zero(parameters, &own[0], grids.of(0, &rights));
-        numbers(&words(&found, expected.len()), &expected, relaxed).unwrap();
-
-        for (pass, input, output) in
-            [("smooth_second", "others", "values"), ("smooth_last_but_one", "values", "others")]
-        {
-            let [found] = device.run(&workspace, pass, &with(&[(input, input)]), [output]);
-            let before = if input == "values" { &values } else { &others };
-            let of = |l: usize| passes::smooth(&grids.matrix(l), grids.of(l, &rights), grids.of(l, before));
-            numbers(&found, &of_levels(&of), relaxed).unwrap();
+        // Grid by grid, the finest first: a grid's right-hand side is what the finer one left.
+        let inputs = [&known[..], &[("rights", bytes(&rights)), ("values", bytes(&values))]].concat();
+        let [found, found_rights] = device.run(&workspace, "descend", &inputs, ["values", "rights"]);
+        let (mut expected, mut expected_rights) = (Vec::new(), vec![grids.of(0, &rights).to_vec()]);
+        for l in 0..coarsest {
+            let (of_grid, of_coarse) =
+                passes::descend(&grids.matrix(l), &levels[l + 1], &expected_rights[l]);
+            expected.push(of_grid);
+            expected_rights.push(of_coarse);
         }
+        let expected = of_levels(&values, levels, |l| expected.get(l).cloned());
+        numbers(&found, &expected, relaxed).unwrap();
+        numbers(&found_rights, &expected_rights.concat(), left).unwrap();
 
-        let outputs = ["values", "partials"];
-        let [found, partials] =
-            device.run(&workspace, "smooth_last", &with(&[("others", "others")]), outputs);
-        let of = |l: usize| passes::smooth_last(&grids.matrix(l), grids.of(l, &rights), grids.of(l, &others));
-        numbers(&found, &of_levels(&|l| of(l).0), relaxed).unwrap();
-        let sums = of(0).1;
-        let Tolerance::Roundings(..) = relaxed else {
-            numbers(&words(&partials, sums.len()), &sums, relaxed).unwrap();
-            continue;
+        // Grid by grid, the finest first: every grid gets the values that the next one had before.
+        let inputs = [
+            &known[..],
+            &[("rights", bytes(&rights)), ("values", bytes(&values)), ("results", bytes(&results))],
+        ]
+        .concat();
+        let [found, squares] = device.run(&workspace, "ascend", &inputs, ["results", "squares"]);
+        let of = |l: usize| {
+            let [right, before] = [&rights, &values].map(|all| grids.of(l, all));
+            passes::ascend(&grids.matrix(l), &levels[l + 1], grids.of(l + 1, &results), right, before)
         };
-        let scale = 512.0 * 8.0 * largest;
-        numbers(&words(&partials, sums.len()), &sums, Tolerance::of(false, 64.0, scale)).unwrap();
+        let expected = of_levels(&results, levels, |l| (l < coarsest).then(|| of(l).0));
+        numbers(&found, &expected, relaxed).unwrap();
+        let sums = of(0).1;
+        assert_eq!(sums.len(), passes::tile_count(parameters, &levels[0], passes::ASCEND_COLUMNS) as usize);
+        let summed = match relaxed {
+            Tolerance::Roundings(..) => Tolerance::of(false, 128.0, 2048.0 * 8.0 * largest),
+            exact => exact,
+        };
+        numbers(&words(&squares, sums.len()), &sums, summed).unwrap();
     }
 }
 
 #[test]
-fn transfers_between_grids_are_their_twins() {
+fn coarsen_is_its_twin() {
     let Some(device) = device() else { return };
     for (rings, nodes) in MULTIGRIDS {
         let grids = Grids::new(rings, nodes);
-        let Grids { parameters, levels, own, .. } = &grids;
+        let Grids { parameters, own, .. } = &grids;
         let workspace = device.engine.prepare(parameters, &[]).unwrap();
-        let count = parameters.node_count as usize;
-        let (rights, others) = (grids.random(34), grids.random(35));
-        let state = [State::default()];
-        let tolerance = Tolerance::of(device.exact, 32.0, 16.0);
-
-        let all: Vec<f32> = own.iter().flatten().flatten().copied().collect();
-        let inputs = [
-            ("state", bytes(&state)),
-            ("own", bytes(&all)),
-            ("rights", bytes(&rights)),
-            ("others", bytes(&others)),
-        ];
-        // Grid by grid, the finest first: what is left on a grid has been written to by the one before.
-        let [found, relaxed] = device.run(&workspace, "restrict", &inputs, ["rights", "others"]);
-        let (mut expected, mut others_expected) = (rights[..count].to_vec(), others[..count].to_vec());
-        for l in 1..levels.len() {
-            let left = grids.of(l - 1, &others_expected);
-            let (right, relaxed) = passes::restrict(parameters, &levels[l - 1], &levels[l], &own[l], left);
-            expected.extend(right);
-            others_expected.extend(relaxed);
-        }
-        numbers(&found, &expected, tolerance).unwrap();
-        numbers(&relaxed, &others_expected, tolerance).unwrap();
-
-        // Grid by grid, the finest first: every grid gets the values that the next one had before.
-        let inputs = [("state", bytes(&state)), ("values", bytes(&others))];
-        let [found] = device.run(&workspace, "prolong", &inputs, ["values"]);
-        let mut expected = Vec::new();
-        for l in 0..levels.len() - 1 {
-            let mut values = grids.of(l, &others).to_vec();
-            passes::prolong(&levels[l], &levels[l + 1], grids.of(l + 1, &others), &mut values);
-            expected.extend(values);
-        }
-        numbers(&words(&found, expected.len()), &expected, tolerance).unwrap();
-
         // Weights sum up from grid to grid.
         let first: Vec<f32> = own[0].as_flattened().to_vec();
         let [found] = device.run(&workspace, "coarsen", &[("own", bytes(&first))], ["own"]);
@@ -566,28 +538,22 @@ fn the_cycle_of_one_workgroup_is_its_twin() {
         let workspace = device.engine.prepare(parameters, &[]).unwrap();
         // The pass runs on the first grid that the workspace leaves to one workgroup.
         let first = workspace.large_levels();
-        let (rights, others) = (grids.random(36), grids.random(37));
+        let (rights, results) = (grids.random(36), grids.random(37));
         let all: Vec<f32> = own.iter().flatten().flatten().copied().collect();
         let state = [State::default()];
         let inputs = [
             ("state", bytes(&state)),
             ("own", bytes(&all)),
             ("rights", bytes(&rights)),
-            ("others", bytes(&others)),
+            ("results", bytes(&results)),
         ];
-        let [found] = device.run(&workspace, "coarse_cycle", &inputs, ["values"]);
+        let [found] = device.run(&workspace, "coarse_cycle", &inputs, ["results"]);
         let of_each: Vec<&[[f32; 2]]> = own[first..].iter().map(|own| &own[..]).collect();
-        let expected = passes::coarse_cycle(
-            parameters,
-            &levels[first..],
-            &of_each,
-            grids.of(first, &rights),
-            grids.of(first, &others),
-        );
-        let Level { first, count, .. } = levels[first];
-        let places: Vec<usize> = (first as usize..(first + count) as usize).collect();
+        let expected =
+            passes::coarse_cycle(parameters, &levels[first..], &of_each, grids.of(first, &rights));
         let size = expected.iter().fold(0.0_f64, |most, x| most.max(f64::from(x.abs())));
-        numbers(&found.at(&places), &expected, Tolerance::of(device.exact, 4096.0, size)).unwrap();
+        let expected = of_levels(&results, levels, |l| (l == first).then(|| expected.clone()));
+        numbers(&found, &expected, Tolerance::of(device.exact, 4096.0, size)).unwrap();
     }
 }
 
@@ -599,19 +565,32 @@ fn apply_is_its_twin() {
         let count = parameters.node_count as usize;
         let workspace = device.engine.prepare(&parameters, &[]).unwrap();
         let (rows, _) = passes::assemble(&parameters, &sums(&parameters, 13), &vec![0.0; count]);
-        let direction = random(count, -1.0..1.0, 14);
-        let state = [State::default()];
+        let [results, direction] = [14, 20].map(|seed| random(count, -0.7..0.7, seed));
+        // Their sum is the residual's square, four times that of the step before.
+        let tiles = passes::tile_count(&parameters, &parameters.finest(), passes::ASCEND_COLUMNS) as usize;
+        let squares = vec![1.2 / tiles as f32; tiles];
+        let before = State { residual_square: 3.0, steps: 4, max_residual_square: 1e-3, ..State::default() };
         let inputs = [
-            ("state", bytes(&state)),
+            ("state", bytemuck::bytes_of(&before)),
+            ("squares", bytes(&squares)),
             ("rows", bytes(rows.as_flattened())),
+            ("results", bytes(&results)),
             ("direction", bytes(&direction)),
         ];
-        let [product, partials] = device.run(&workspace, "apply", &inputs, ["product", "partials"]);
-        let (expected, sums) = passes::apply(&parameters, &rows, &direction);
+        let outputs = ["next_step", "product", "curvatures"];
+        let [found, product, curvatures] = device.run(&workspace, "apply", &inputs, outputs);
+        let applied = passes::apply(&parameters, &before, &squares, &rows, &results, &direction);
+        same_step(device, &found, applied.next_step);
+        assert!((applied.next_step.beta - 0.4).abs() < 1e-5 && applied.next_step.ends == 0);
+        let (expected, sums) = (applied.product, applied.curvatures);
         let scale = 7.0 * 40.0 + 16.0 * f64::from(parameters.along + parameters.around + parameters.twist);
         numbers(&product, &expected, Tolerance::of(device.exact, 32.0, scale)).unwrap();
-        numbers(&words(&partials, sums.len()), &sums, Tolerance::of(device.exact, 48.0, 256.0 * scale))
-            .unwrap();
+        assert_eq!(
+            sums.len(),
+            passes::tile_count(&parameters, &parameters.finest(), passes::APPLY_COLUMNS) as usize
+        );
+        let tolerance = Tolerance::of(device.exact, 128.0, 1200.0 * scale);
+        numbers(&words(&curvatures, sums.len()), &sums, tolerance).unwrap();
     }
 }
 
@@ -622,26 +601,31 @@ fn the_steps_of_conjugate_gradients_are_their_twins() {
         let parameters = parameters(rings, nodes);
         let count = parameters.node_count as usize;
         let workspace = device.engine.prepare(&parameters, &[]).unwrap();
-        let [a, b, c, d] = [15, 16, 17, 18].map(|seed| random(count, -2.0..2.0, seed));
-        let begun = State { residual_square: 3.0, alpha: 0.37, beta: 0.61, steps: 4, ..State::default() };
+        let [a, b, c, d, e] = [15, 16, 17, 18, 19].map(|seed| random(count, -2.0..2.0, seed));
+        let begun = State { steps: 4, ..State::default() };
+        let next_step = NextStep { ends: 0, square: 1.1, beta: 0.61 };
         let tolerance = Tolerance::of(device.exact, 4.0, 4.0);
 
-        let inputs = [("state", bytemuck::bytes_of(&begun)), ("values", bytes(&a)), ("direction", bytes(&b))];
-        let [direction] = device.run(&workspace, "cg_direction", &inputs, ["direction"]);
-        let mut expected = b.clone();
-        passes::cg_direction(&begun, &a, &mut expected);
-        numbers(&direction, &expected, tolerance).unwrap();
-
+        let tiles = passes::tile_count(&parameters, &parameters.finest(), passes::APPLY_COLUMNS) as usize;
+        let curvatures = random(tiles, 0.5..1.5, 20);
         let inputs = [
             ("state", bytemuck::bytes_of(&begun)),
-            ("direction", bytes(&a)),
+            ("next_step", bytemuck::bytes_of(&next_step)),
+            ("curvatures", bytes(&curvatures)),
+            ("results", bytes(&a)),
             ("product", bytes(&b)),
+            ("direction", bytes(&e)),
             ("change", bytes(&c)),
             ("rights", bytes(&d)),
         ];
-        let [change, residual] = device.run(&workspace, "cg_step", &inputs, ["change", "rights"]);
-        let (mut x, mut left) = (c.clone(), d.clone());
-        passes::cg_step(&begun, &a, &b, &mut x, &mut left);
+        let [found, direction, change, residual] =
+            device.run(&workspace, "cg_step", &inputs, ["state", "direction", "change", "rights"]);
+        let (mut along, mut x, mut left) = (e.clone(), c.clone(), d.clone());
+        let mut state = begun;
+        passes::cg_step(&mut state, &next_step, &curvatures, &a, &b, [&mut along, &mut x, &mut left]);
+        assert_eq!((state.steps, state.residual_square), (5, 1.1));
+        same_state(device, &found, state);
+        numbers(&direction, &along, tolerance).unwrap();
         numbers(&change, &x, tolerance).unwrap();
         numbers(&words(&residual, count), &left, tolerance).unwrap();
 
@@ -649,7 +633,7 @@ fn the_steps_of_conjugate_gradients_are_their_twins() {
         let rows: Vec<[f32; 4]> = c.iter().map(|&x| [x.abs(), f32::NAN, f32::NAN, f32::NAN]).collect();
         let inputs =
             [("state", bytes(&solved)), ("change", bytes(&a)), ("rows", bytes(&rows)), ("wall", bytes(&b))];
-        let [wall, ways] = device.run(&workspace, "move_wall", &inputs, ["wall", "partials"]);
+        let [wall, ways] = device.run(&workspace, "move_wall", &inputs, ["wall", "travels"]);
         let mut expected = b.clone();
         let sums = passes::move_wall(&parameters, &a, &rows, &mut expected);
         let sums = sums.as_flattened();
@@ -667,22 +651,40 @@ fn same_state(device: &Device<GpuWallEngine>, found: &Readback, expected: State)
     assert_eq!((found.done, found.steps), (expected.done, expected.steps));
     for (a, b) in [
         (found.residual_square, expected.residual_square),
-        (found.alpha, expected.alpha),
-        (found.beta, expected.beta),
         (found.max_residual_square, expected.max_residual_square),
     ] {
         assert!((a - b).abs() <= 1e-5 * (1.0 + b.abs()), "{a} {b}");
     }
 }
 
+/// A next step's words, those of its numbers apart.
+fn same_step(device: &Device<GpuWallEngine>, found: &Readback, expected: NextStep) {
+    if device.exact {
+        return integers(found, bytemuck::cast_slice(&[expected])).unwrap();
+    }
+    let found: NextStep = bytemuck::pod_read_unaligned(bytemuck::cast_slice(&found.words));
+    assert_eq!(found.ends, expected.ends);
+    for (a, b) in [(found.square, expected.square), (found.beta, expected.beta)] {
+        assert!(a.is_nan() && b.is_nan() || a == b || (a - b).abs() <= 1e-5 * (1.0 + b.abs()), "{a} {b}");
+    }
+}
+
 #[test]
-fn cg_limit_cg_beta_and_cg_alpha_decide_as_their_twins() {
+fn cg_limit_apply_and_cg_step_decide_as_their_twins() {
     let Some(device) = device() else { return };
-    for (rings, nodes) in GRIDS.into_iter().chain([(4000, 512)]) {
+    for (rings, nodes) in GRIDS.into_iter().chain([(2000, 512)]) {
         let parameters = parameters(rings, nodes);
         let workspace = device.engine.prepare(&parameters, &[]).unwrap();
-        let blocks = (parameters.node_count as usize).div_ceil(256);
-        let begun = State { residual_square: 3.0, steps: 4, max_residual_square: 1e-3, ..State::default() };
+        let tiles =
+            |columns| passes::tile_count(&parameters, &parameters.finest(), columns) as usize;
+        let count = parameters.node_count as usize;
+        let (none, rows) = (vec![0.0_f32; count], vec![[0.0_f32; 4]; count]);
+        let begun = State {
+            residual_square: 3.0,
+            steps: 4,
+            max_residual_square: 1e-3,
+            ..State::default()
+        };
         // Above and below what is enough, no numbers, the first step, the last one, and once it is done.
         for (low, high, state) in [
             (0.0, 2.0, begun),
@@ -699,27 +701,49 @@ fn cg_limit_cg_beta_and_cg_alpha_decide_as_their_twins() {
                 false => random(count, low..high, 19),
             };
             let finite = low.is_finite() && high.is_finite();
-            for (pass, partials) in ["cg_limit", "cg_beta", "cg_alpha"].map(|pass| (pass, partials(blocks))) {
+            for (pass, buffer, columns) in [
+                ("cg_limit", "squares", passes::ASCEND_COLUMNS),
+                ("apply", "squares", passes::ASCEND_COLUMNS),
+                ("cg_step", "curvatures", passes::APPLY_COLUMNS),
+            ] {
                 if pass == "cg_limit" && !finite {
                     continue;
                 }
-                let inputs = [("partials", bytes(&partials)), ("state", bytemuck::bytes_of(&state))];
-                let [found] = device.run(&workspace, pass, &inputs, ["state"]);
-                let mut expected = state;
+                let partials = partials(tiles(columns));
+                let step = NextStep { ends: state.done, square: 2.0, beta: 0.5 };
+                let mut inputs = vec![(buffer, bytes(&partials)), ("state", bytemuck::bytes_of(&state))];
+                inputs.push(("next_step", bytemuck::bytes_of(&step)));
+                let zeroed = ["results", "direction", "product", "change", "rights"];
+                inputs.extend(zeroed.map(|name| (name, bytes(&none))));
+                inputs.push(("rows", bytes(&rows)));
+                let [found, found_step] = device.run(&workspace, pass, &inputs, ["state", "next_step"]);
+                let (mut expected, mut expected_step) = (state, step);
                 match pass {
                     "cg_limit" => passes::cg_limit(&parameters, &partials, &mut expected),
-                    "cg_beta" => passes::cg_beta(&parameters, &partials, &mut expected),
-                    _ => passes::cg_alpha(&partials, &mut expected),
-                }
-                if pass == "cg_beta" && state.steps == 7 {
-                    assert_eq!(expected.done, passes::EXHAUSTED);
-                }
-                if state.done == 0 && (!finite || (pass == "cg_alpha" && high < 0.0)) {
-                    assert_eq!(expected.done, passes::BROKEN, "{pass} from {low} to {high}");
+                    "apply" if state.done == 0 => {
+                        let applied = passes::apply(&parameters, &state, &partials, &rows, &none, &none);
+                        expected_step = applied.next_step;
+                        let of_steps = if state.steps == 7 { passes::EXHAUSTED } else { expected_step.ends };
+                        let ends = if finite { of_steps } else { passes::BROKEN };
+                        assert_eq!(expected_step.ends, ends, "{low} to {high}");
+                    }
+                    "apply" => {}
+                    _ => {
+                        let [mut a, mut b, mut c] = [none.clone(), none.clone(), none.clone()];
+                        let vectors = [&mut a[..], &mut b, &mut c];
+                        passes::cg_step(&mut expected, &step, &partials, &none, &none, vectors);
+                        if state.done == 0 && (!finite || high < 0.0) {
+                            assert_eq!(expected.done, passes::BROKEN, "{low} to {high}");
+                        }
+                    }
                 }
                 match expected == state {
                     true => assert_eq!(found.words, found.before),
                     false => same_state(device, &found, expected),
+                }
+                match expected_step == step {
+                    true => assert_eq!(found_step.words, found_step.before),
+                    false => same_step(device, &found_step, expected_step),
                 }
             }
         }
@@ -731,23 +755,21 @@ fn nothing_moves_once_the_solver_is_done() {
     let Some(device) = device() else { return };
     let parameters = parameters(17, 100);
     let workspace = device.engine.prepare(&parameters, &[]).unwrap();
-    let done = [State { done: 1, residual_square: 1.0, alpha: 1.0, beta: 1.0, ..State::default() }];
+    let done = [State { done: 1, residual_square: 1.0, ..State::default() }];
+    let next_step = [NextStep { ends: 1, square: 1.0, beta: 1.0 }];
     let ones = vec![1.0_f32; parameters.node_count as usize];
     for (pass, output) in [
-        ("smooth_zero", "others"),
-        ("smooth_second", "values"),
-        ("remainder", "others"),
-        ("restrict", "rights"),
-        ("coarse_cycle", "values"),
-        ("prolong", "values"),
-        ("smooth_last_but_one", "others"),
-        ("smooth_last", "values"),
-        ("cg_direction", "direction"),
+        ("descend", "values"),
+        ("descend", "rights"),
+        ("coarse_cycle", "results"),
+        ("ascend", "results"),
         ("apply", "product"),
+        ("cg_step", "direction"),
         ("cg_step", "change"),
+        ("cg_step", "rights"),
     ] {
-        let names = ["values", "others", "direction", "rights", "product", "change"];
-        let mut inputs = vec![("state", bytes(&done))];
+        let names = ["values", "results", "direction", "rights", "product", "change"];
+        let mut inputs = vec![("state", bytes(&done)), ("next_step", bytes(&next_step))];
         inputs.extend(names.iter().map(|&name| (name, bytes(&ones))));
         let [read] = device.run(&workspace, pass, &inputs, [output]);
         assert_eq!(read.words, read.before, "{pass}");
@@ -785,8 +807,8 @@ fn data_of_the_cpu_passed_as_the_device_s_fail() {
     let parameters = parameters(8, 9);
     let workspace = device.engine.prepare(&parameters, &[]).unwrap();
     let of_cpu = random(parameters.node_count as usize, -2.0..2.0, 20);
-    let done = State { done: 1, ..State::default() };
-    let inputs = [("rights", bytes(&of_cpu)), ("state", bytemuck::bytes_of(&done))];
+    let done = NextStep { ends: 1, ..NextStep::default() };
+    let inputs = [("rights", bytes(&of_cpu)), ("next_step", bytemuck::bytes_of(&done))];
     let [residual] = device.run(&workspace, "cg_step", &inputs, ["rights"]);
     let residual = words(&residual, of_cpu.len());
     assert_eq!(residual.numbers(), of_cpu);
@@ -798,5 +820,5 @@ fn an_unknown_pass_or_buffer_is_refused() {
     let Some(device) = device() else { return };
     let workspace = device.engine.prepare(&parameters(8, 9), &[]).unwrap();
     assert!(device.engine.run_pass(&workspace, "no such pass", &[], &[]).is_err());
-    assert!(device.engine.run_pass(&workspace, "cg_beta", &[], &["no such buffer"]).is_err());
+    assert!(device.engine.run_pass(&workspace, "cg_limit", &[], &["no such buffer"]).is_err());
 }

@@ -1,13 +1,18 @@
-// A grid's matrix times a vector, at a node: the finest grid's has the couplings of echoes in `rows`, those of
-// coarser ones have weights at the nodes themselves. The including shader defines the vector as `value`.
+// A grid's matrix times a vector, at a node: the finest grid's has the couplings of echoes, those of coarser ones have
+// weights at the nodes themselves. The node is counted among those of all grids.
 
-fn times(level: Level, k: u32, j: u32) -> f32 {
+// What the vector leaves of the right-hand side.
+fn left_at(level: Level, k: u32, node: u32, c: Couplings, s: Stencil) -> f32 {
     var of_echoes = 0.0;
     if (level.first == 0u) {
-        of_echoes = coupled(level, k, j);
+        of_echoes = coupled(level, k, c, s);
     } else {
-        let node = level.first + k * level.nodes + j;
-        of_echoes = own[node].x * value(node);
+        of_echoes = own[node].x * s.here;
     }
-    return of_echoes + bending(level, k, j);
+    return rights[node] - (of_echoes + bending(level, k, s));
+}
+
+// The vector after a relaxation.
+fn relaxed(level: Level, k: u32, node: u32, c: Couplings, s: Stencil, relaxation: f32) -> f32 {
+    return s.here + (relaxation * own[node].y) * left_at(level, k, node, c, s);
 }

@@ -44,6 +44,8 @@ struct WallParameters {
     // products with constants.
     first_relaxation: f32,
     second_relaxation: f32,
+    // 1 where small grids have low tiles, which many workgroups share.
+    low_tiles: u32,
 }
 
 // A grid of the multigrid cycle, the finest first.
@@ -106,16 +108,22 @@ struct State {
     prefix: u32,
     rank: u32,
     digits: u32,
-    // How conjugate gradients ended (0 while they go on, CONVERGED, BROKEN or EXHAUSTED), and the number of their steps.
+    // How conjugate gradients ended (0 while they go on, CONVERGED, BROKEN or EXHAUSTED), the number of their steps, and the
+    // square of the residual, in the preconditioner's norm, before the last of them.
     done: u32,
     steps: u32,
-    // Square of the residual in the preconditioner's norm, length of a step, and share of the last direction
-    // in the next.
     residual_square: f32,
-    alpha: f32,
-    beta: f32,
     // Square of the residual at which they end.
     max_residual_square: f32,
+}
+
+// What all workgroups of `apply` find before a step of conjugate gradients, and those of `cg_step` go by: as the state, but
+// no pass reads what it writes.
+struct NextStep {
+    // How they end, 0 while they go on; the residual's square; the share of the last direction in the next.
+    ends: u32,
+    square: f32,
+    beta: f32,
 }
 
 // Whether there is a solution to go on with.

@@ -17,7 +17,8 @@ fn share_of(i: u32, fine: u32, coarse: u32, closed: bool) -> Share {
     let below = i / 2u;
     // In units of 1/intervals.
     let rest = (i % 2u) * coarse_intervals + (2u * coarse_intervals - intervals) * below;
-    let above = select(min(below + 1u, coarse - 1u), (below + 1u) % coarse, closed);
+    let is_last = below + 1u == coarse;
+    let above = select(below + 1u, select(below, 0u, closed), is_last);
     return Share(below, above, f32(rest) / f32(intervals));
 }
 
@@ -38,9 +39,10 @@ fn candidate(t: u32, coarser: u32, fine: u32, coarse: u32, closed: bool) -> u32 
     if (fine == coarse) {
         return select(fine, coarser, t == 0u);
     }
-    if (closed) {
-        return select(fine, (2u * coarser + 2u * fine + t - 2u) % fine, t < fine);
-    }
     let two_on = 2u * coarser + t;
+    if (closed) {
+        let on = select(two_on + fine, two_on, two_on >= 2u) - 2u;
+        return select(fine, select(on, on - fine, on >= fine), t < fine);
+    }
     return select(fine, two_on - 2u, two_on >= 2u && two_on - 2u < fine);
 }

@@ -103,8 +103,11 @@ pub struct SweepRow {
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct SweepDeviceRow {
-    /// The whole fit, after half a second of it.
+    /// The whole fit, after half a second of fits.
     pub fit: Times,
+    /// The first fit, for which the device had to make memory, and before which it idled while the CPU prepared the echoes:
+    /// a card that idles runs at a fraction of its clock.
+    pub first_ms: f64,
     /// Where that time went; the rest is the host's own computation.
     pub of_it: super::EndToEnd,
     /// The comparison of the walls before anything was timed.
@@ -146,25 +149,27 @@ pub fn run_sweep(
     if let Some(engine) = device {
         engine.warm_up()?;
         let found = Sweep::on_device(&recording, &settings, engine)?;
+        let first_ms = found.report.seconds.fit * 1e3;
         let parity = Parity::of(["cpu", "gpu"], &expected.radii_mm, &found.radii_mm)?;
         let repeats = repeats.max(1);
         let (mut seconds, mut spent) = (Vec::new(), Vec::new());
         engine.take_spent();
-        // Warm as `Times::measure_warm` does; only the fit is timed, not the preparation.
+        let mut fit = Sweep::fits(&recording, &settings, engine)?;
+        // Warm as `Times::measure_warm` does.
         let start = std::time::Instant::now();
         while seconds.len() < repeats {
-            let cold = start.elapsed() < super::WARM_UP;
-            let fit_s = Sweep::on_device(&recording, &settings, engine)?.report.seconds.fit;
+            let warm = start.elapsed() >= super::WARM_UP;
+            let fit_s = fit()?;
             let parts = engine.take_spent();
-            if !cold {
+            if warm {
                 seconds.push(fit_s);
                 spent.push(parts);
             }
         }
-        let (_, passes) = engine.timed(|engine| Sweep::on_device(&recording, &settings, engine))?;
+        let (_, passes) = engine.timed(|_| fit())?;
         let passes = passes.into_iter().map(|(name, seconds)| SweepPassRow { name, ms: seconds * 1e3 });
         let (fit, of_it) = (Times::of(seconds), super::EndToEnd::of(&spent));
-        row.device = Some(SweepDeviceRow { fit, of_it, parity, passes: passes.collect() });
+        row.device = Some(SweepDeviceRow { fit, first_ms, of_it, parity, passes: passes.collect() });
     }
     #[cfg(not(feature = "gpu"))]
     let _ = (&mut row, repeats);

@@ -175,9 +175,12 @@ impl GpuWallEngine {
             return Err(GpuError::Refused { what, reason: format!("{MAX_NODES} at most") }.into());
         }
         let (rings, nodes) = (grid.rings as u32, grid.nodes as u32);
-        let parameters =
-            WallParameters::new([rings, nodes], [grid.step_mm, grid.arc_mm], start_mm, OUT_OF_PLANE);
         let Runner { context, passes, .. } = &self.runner;
+        let parameters = WallParameters {
+            // A program on the CPU has few threads.
+            low_tiles: u32::from(!context.is_software()),
+            ..WallParameters::new([rings, nodes], [grid.step_mm, grid.arc_mm], start_mm, OUT_OF_PLANE)
+        };
         let start = Instant::now();
         let kept = {
             let mut kept = self.kept();
@@ -250,11 +253,11 @@ impl WallEngine for OnDevice<'_> {
             [&step.repeat(count)[..], &[(Stage::Move, 0)], &MEASURING].concat()
         };
         let mut submitted = self.steps;
-        let (mut state, mut partials) = self.run(&before, &steps(submitted))?;
+        let (mut state, mut travels) = self.run(&before, &steps(submitted))?;
         // The last step only tests whether the one before sufficed.
         while state.done == 0 && submitted <= MAX_STEPS {
             submitted += USUAL_STEPS;
-            (state, partials) = self.run(&[], &steps(USUAL_STEPS))?;
+            (state, travels) = self.run(&[], &steps(USUAL_STEPS))?;
         }
         let taken = state.steps as usize;
         if !state.is_solved() {
@@ -262,7 +265,7 @@ impl WallEngine for OnDevice<'_> {
             return Err(GpuError::Wrong { what: "wall equations", found }.into());
         }
         self.steps = (taken + 2).min(MOST_STEPS);
-        let [travel, weight] = partials
+        let [travel, weight] = travels
             .chunks_exact(2)
             .fold([0.0; 2], |[a, b], pair| [a + f64::from(pair[0]), b + f64::from(pair[1])]);
         let travel_mm = travel / weight.max(f64::MIN_POSITIVE);
@@ -326,14 +329,14 @@ impl OnDevice<'_> {
     }
 
     /// Runs the passes of `equations`, which leave their residual where `apply` leaves products, hands that to the solver,
-    /// and runs those of `stages`; without equations the latter only. Returns the state and the last partial sums.
+    /// and runs those of `stages`; without equations the latter only. Returns the state and the partial sums of what nodes travelled.
     fn run(&self, equations: &[(Stage, usize)], stages: &[(Stage, usize)]) -> Result<(State, Vec<f32>)> {
         let Self { engine, workspace, .. } = self;
         let context = &engine.runner.context;
         let nodes = workspace.parameters().node_count;
-        let [state, partials, product, rights] =
-            ["state", "partials", "product", "rights"].map(|name| workspace.shared(name));
-        let parts = [(state, size_of::<State>() as u64), (partials, 8 * u64::from(nodes.div_ceil(256)))];
+        let [state, travels, product, rights] =
+            ["state", "travels", "product", "rights"].map(|name| workspace.shared(name));
+        let parts = [(state, size_of::<State>() as u64), (travels, 8 * u64::from(nodes.div_ceil(256)))];
         let job = Job { bytes: workspace.bytes(), rounds: (equations.len() + stages.len()) as u64 };
         let record = |encoder: &mut wgpu::CommandEncoder, timer: &mut Timer| {
             if !equations.is_empty() {
@@ -362,8 +365,7 @@ impl OnDevice<'_> {
         let large = self.workspace.large_levels();
         let descend = (0..large).map(|level| (Stage::Descend, level));
         let ascend = (0..large).rev().map(|level| (Stage::Ascend, level));
-        let start = std::iter::once((Stage::Start, 0));
-        start.chain(descend).chain([(Stage::Coarse, large)]).chain(ascend).collect()
+        descend.chain([(Stage::Coarse, large)]).chain(ascend).collect()
     }
 }
 

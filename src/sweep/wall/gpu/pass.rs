@@ -1,7 +1,10 @@
 //! The table of passes of the wall's fit on the device.
 
 use crate::gpu::shader::{constants, shader};
-use crate::sweep::wall::passes::{FLOOR, MOST_COARSEST};
+use crate::sweep::wall::passes::{
+    APPLY_COLUMNS, ASCEND_COLUMNS, DESCEND_COLUMNS, FLOOR, LOW_TILE_RINGS, MANY_NODES, MOST_COARSEST, MOST_OF_ONE, TILE_COLUMNS, TILE_RINGS,
+};
+use std::fmt::Write;
 
 /// The part of the fit to which a pass belongs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -16,8 +19,6 @@ pub enum Stage {
     Coarsen,
     /// The right-hand side of the equations for whole radii.
     RightHandSide,
-    /// The first relaxation of the multigrid cycle.
-    Start,
     /// The multigrid cycle on the way to coarser grids: each of the finer ones.
     Descend,
     /// The cycle over all coarser ones.
@@ -43,10 +44,12 @@ pub enum Items {
     One,
     /// One invocation per node.
     Nodes,
-    /// One invocation per node of a grid of the multigrid cycle.
-    LevelNodes,
-    /// One invocation per node of a grid that has a coarser one.
-    FinerNodes,
+    /// One workgroup per 1024 nodes.
+    NodeBlocks,
+    /// One workgroup per tile of the finest grid with that many columns.
+    Tiles(u32),
+    /// One workgroup per tile of a grid that has a coarser one.
+    LevelTiles(u32),
     /// One invocation per node of the next coarser one.
     CoarserNodes,
     /// One workgroup for all grids that it suffices for.
@@ -58,6 +61,10 @@ pub type Pass = crate::gpu::Pass<Stage, Items>;
 
 const PARAMETERS: &str = include_str!("../../../../shaders/sweep/common/parameters.wgsl");
 const WALL_RESIDUAL: &str = include_str!("../../../../shaders/sweep/common/wall_residual.wgsl");
+const STENCIL: &str = include_str!("../../../../shaders/sweep/common/stencil.wgsl");
+const STENCIL_AT: &str = include_str!("../../../../shaders/sweep/common/stencil_at.wgsl");
+const CLIMB: &str = include_str!("../../../../shaders/sweep/common/climb.wgsl");
+const TILE: &str = include_str!("../../../../shaders/sweep/common/tile.wgsl");
 const BENDING: &str = include_str!("../../../../shaders/sweep/common/bending.wgsl");
 const COUPLED: &str = include_str!("../../../../shaders/sweep/common/coupled.wgsl");
 const PARTIALS: &str = include_str!("../../../../shaders/sweep/common/partials.wgsl");
@@ -71,30 +78,44 @@ const DISPATCH: &str = include_str!("../../../../shaders/common/dispatch.wgsl");
 const SCALAR: &str = include_str!("../../../../shaders/common/scalar.wgsl");
 const SCAN: &str = include_str!("../../../../shaders/common/scan.wgsl");
 
-/// The constants of the multigrid cycle.
-fn multigrid_constants() -> String {
-    let numbers = constants([("FLOOR", FLOOR)]);
-    format!("{numbers}const MOST_COARSEST: u32 = {MOST_COARSEST}u;\n")
+/// The constants of the solver.
+fn solver_constants() -> String {
+    let mut text = constants([("FLOOR", FLOOR)]);
+    for (name, value) in [
+        ("MOST_COARSEST", MOST_COARSEST as u32),
+        ("MOST_OF_ONE", MOST_OF_ONE),
+        ("TILE_RINGS", TILE_RINGS),
+        ("LOW_TILE_RINGS", LOW_TILE_RINGS),
+        ("MANY_NODES", MANY_NODES),
+        ("TILE_COLUMNS", TILE_COLUMNS),
+        ("DESCEND_COLUMNS", DESCEND_COLUMNS),
+        ("ASCEND_COLUMNS", ASCEND_COLUMNS),
+        ("APPLY_COLUMNS", APPLY_COLUMNS),
+    ] {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "const {name}: u32 = {value}u;");
+    }
+    text
 }
 
 /// A row: name and, where it differs, `in` the file's; stage, items, workgroup size, common files and
 /// bindings.
 macro_rules! pass {
-    ($name:literal $(in $file:literal)?, $stage:ident, $items:ident, $size:literal, [$($common:ident),*],
+    ($name:literal $(in $file:literal)?, $stage:ident, $items:ident $(($columns:ident))?, $size:literal, [$($common:ident),*],
      [$($binding:tt)*]) => {
         Pass {
             shader: shader!(
                 "sweep", $name $(in $file)?, $size, [PARAMETERS, DISPATCH, $($common),*],
-                ["parameters": Uniform, $($binding)*], { preamble: multigrid_constants }
+                ["parameters": Uniform, $($binding)*], { preamble: solver_constants }
             ),
             stage: Stage::$stage,
-            items: Items::$items,
+            items: Items::$items $(($columns))?,
         }
     };
 }
 
 /// Every pass, in the order in which they run; those of the multigrid cycle run grid by grid.
-pub static PASSES: [Pass; 23] = [
+pub static PASSES: [Pass; 15] = [
     pass!("measure", Measure, Echoes, 256, [WALL_RESIDUAL], [
         "state": Read, "echoes": Read, "wall": Read, "shifts": Write, "residuals": Write,
     ]),
@@ -103,53 +124,41 @@ pub static PASSES: [Pass; 23] = [
     pass!("accumulate", Equations, Echoes, 256, [WALL_RESIDUAL, SCALAR], [
         "echoes": Read, "wall": Read, "shifts": Read, "sums_low": Write, "sums_high": Write,
     ]),
-    pass!("assemble", Equations, Nodes, 256, [BENDING, SCALAR], [
+    pass!("assemble", Equations, Nodes, 256, [STENCIL, STENCIL_AT, BENDING, SCALAR], [
         "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Write, "product": Write, "change": Write,
         "direction": Write,
     ]),
-    pass!("lump", Equations, Nodes, 256, [COUPLED, DIAGONAL], ["rows": Read, "own": Write]),
+    pass!("lump", Equations, Nodes, 256, [STENCIL, STENCIL_AT, COUPLED, DIAGONAL], ["rows": Read, "own": Write]),
     pass!("coarsen", Coarsen, CoarserNodes, 64, [DIAGONAL, TRANSFER, RESTRICTED], ["levels": Read, "own": Write]),
-    pass!("assemble_rhs", RightHandSide, Nodes, 256, [COUPLED, SCALAR], [
+    pass!("assemble_rhs", RightHandSide, Nodes, 256, [STENCIL, STENCIL_AT, COUPLED, SCALAR], [
         "sums_low": Read, "sums_high": Read, "wall": Read, "rows": Read, "cg_residual" = "rights": Write,
     ]),
-    pass!("smooth_zero", Start, Nodes, 256, [], ["state": Read, "own": Read, "rights": Read, "others": Write]),
-    pass!("smooth_second" in "smooth", Descend, LevelNodes, 256, [BENDING, COUPLED, MATRIX], [
-        "state": Read, "levels": Read, "rows": Read, "own": Read, "rights": Read, "before" = "others": Read,
-        "after" = "values": Write,
+    pass!("descend", Descend, LevelTiles(DESCEND_COLUMNS), 256, [
+        STENCIL, TILE, CLIMB, BENDING, COUPLED, MATRIX, TRANSFER, RESTRICTED
+    ], [
+        "state": Read, "levels": Read, "rows": Read, "own": Read, "rights": Write, "values": Write,
     ]),
-    pass!("remainder", Descend, LevelNodes, 256, [BENDING, COUPLED, MATRIX], [
-        "state": Read, "levels": Read, "rows": Read, "own": Read, "rights": Read, "values": Read, "others": Write,
+    pass!("coarse_cycle", Coarse, CoarseGrids, 256, [
+        STENCIL, STENCIL_AT, BENDING, DIAGONAL, TRANSFER, RESTRICTED, INTERPOLATED
+    ], [
+        "state": Read, "levels": Read, "own": Read, "rights": Read, "results": Write,
     ]),
-    pass!("restrict", Descend, CoarserNodes, 64, [TRANSFER, RESTRICTED], [
-        "state": Read, "levels": Read, "own": Read, "rights": Write, "others": Write,
+    pass!("ascend", Ascend, LevelTiles(ASCEND_COLUMNS), 256, [
+        STENCIL, TILE, CLIMB, BENDING, COUPLED, MATRIX, TRANSFER, INTERPOLATED, SUM
+    ], [
+        "state": Read, "levels": Read, "rows": Read, "own": Read, "rights": Read, "values": Read, "results": Write,
+        "squares": Write,
     ]),
-    pass!("coarse_cycle", Coarse, CoarseGrids, 256, [BENDING, DIAGONAL, TRANSFER, RESTRICTED, INTERPOLATED], [
-        "state": Read, "levels": Read, "own": Read, "rights": Write, "values": Write, "others": Write,
+    pass!("cg_limit", Limit, One, 256, [TILE, PARTIALS, SUM], ["partials" = "squares": Read, "state": Write]),
+    pass!("apply", Step, Tiles(APPLY_COLUMNS), 256, [STENCIL, TILE, CLIMB, BENDING, COUPLED, PARTIALS, SUM], [
+        "state": Read, "next_step": Write, "partials" = "squares": Read, "rows": Read, "preconditioned" = "results": Read,
+        "direction": Read, "product": Write, "curvatures": Write,
     ]),
-    pass!("prolong", Ascend, FinerNodes, 256, [TRANSFER, INTERPOLATED], [
-        "state": Read, "levels": Read, "values": Write,
-    ]),
-    pass!("smooth_last_but_one" in "smooth", Ascend, LevelNodes, 256, [BENDING, COUPLED, MATRIX], [
-        "state": Read, "levels": Read, "rows": Read, "own": Read, "rights": Read, "before" = "values": Read,
-        "after" = "others": Write,
-    ]),
-    pass!("smooth_last", Ascend, LevelNodes, 256, [BENDING, COUPLED, MATRIX, SUM], [
-        "state": Read, "levels": Read, "rows": Read, "own": Read, "rights": Read, "others": Read, "values": Write,
-        "partials": Write,
-    ]),
-    pass!("cg_limit", Limit, One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
-    pass!("cg_beta", Step, One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
-    pass!("cg_direction", Step, Nodes, 256, [], [
-        "state": Read, "preconditioned" = "values": Read, "direction": Write,
-    ]),
-    pass!("apply", Step, Nodes, 256, [BENDING, COUPLED, SUM], [
-        "state": Read, "rows": Read, "direction": Read, "product": Write, "partials": Write,
-    ]),
-    pass!("cg_alpha", Step, One, 256, [PARTIALS, SUM], ["partials": Read, "state": Write]),
-    pass!("cg_step", Step, Nodes, 256, [], [
-        "state": Read, "direction": Read, "product": Read, "change": Write, "cg_residual" = "rights": Write,
+    pass!("cg_step", Step, NodeBlocks, 256, [TILE, PARTIALS, SUM], [
+        "state": Write, "next_step": Read, "partials" = "curvatures": Read, "preconditioned" = "results": Read, "product": Read,
+        "direction": Write, "change": Write, "cg_residual" = "rights": Write,
     ]),
     pass!("move_wall", Move, Nodes, 256, [SUM], [
-        "state": Read, "change": Read, "rows": Read, "wall": Write, "partials": Write,
+        "state": Read, "change": Read, "rows": Read, "wall": Write, "travels": Write,
     ]),
 ];

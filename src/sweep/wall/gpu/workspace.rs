@@ -3,7 +3,9 @@
 use super::ReadyPass;
 use super::pass::{Items, Pass};
 use crate::gpu::{Buffers, Context, GpuError, Timer, checked, dispatch_size};
-use crate::sweep::wall::passes::{DeviceEcho, Level, State, WallParameters};
+use crate::sweep::wall::passes::{
+    APPLY_COLUMNS, ASCEND_COLUMNS, DeviceEcho, Level, MOST_OF_ONE, NextStep, State, WallParameters, tile_count,
+};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -30,9 +32,6 @@ struct Chunk {
 /// Bytes from one grid to the next: a binding may begin at every one.
 const LEVEL_BYTES: u64 = size_of::<Level>() as u64;
 
-/// Grids with at most this many nodes are left to one workgroup.
-const MOST_OF_ONE: u32 = 2048;
-
 /// Bytes per echo in the largest of its buffers.
 const ECHO_BYTES: u64 = size_of::<DeviceEcho>() as u64;
 
@@ -41,8 +40,10 @@ fn sizes(parameters: &WallParameters) -> Vec<(&'static str, u64)> {
     let nodes = u64::from(parameters.node_count);
     let levels = parameters.levels();
     let all = levels.iter().map(|level| u64::from(level.count)).sum::<u64>();
+    let tiles = |columns| u64::from(tile_count(parameters, &levels[0], columns));
     vec![
         ("state", size_of::<State>() as u64),
+        ("next_step", size_of::<NextStep>() as u64),
         ("counts", 4 * 256),
         ("levels", LEVEL_BYTES * levels.len() as u64),
         ("wall", 4 * nodes),
@@ -52,11 +53,13 @@ fn sizes(parameters: &WallParameters) -> Vec<(&'static str, u64)> {
         ("own", 8 * all),
         ("rights", 4 * all),
         ("values", 4 * all),
-        ("others", 4 * all),
+        ("results", 4 * all),
         ("direction", 4 * nodes),
         ("product", 4 * nodes),
         ("change", 4 * nodes),
-        ("partials", 8 * nodes.div_ceil(256)),
+        ("squares", 4 * tiles(ASCEND_COLUMNS)),
+        ("curvatures", 4 * tiles(APPLY_COLUMNS)),
+        ("travels", 8 * nodes.div_ceil(256)),
     ]
 }
 
@@ -210,14 +213,14 @@ impl WallWorkspace {
 
     /// The number of grids that are too large for one workgroup, the finest always among them.
     pub fn large_levels(&self) -> usize {
-        self.levels.iter().skip(1).take_while(|level| level.count > MOST_OF_ONE).count() + 1
+        let all = self.levels.last().map_or(0, |coarsest| coarsest.first + coarsest.count);
+        self.levels.iter().skip(1).take_while(|level| all - level.first > MOST_OF_ONE).count() + 1
     }
 
     /// The grids that a pass over grids can run on; passes that do not take any run once.
     pub(super) fn levels_of(&self, items: Items) -> Range<usize> {
         match items {
-            Items::LevelNodes => 0..self.levels.len(),
-            Items::FinerNodes | Items::CoarserNodes => 0..self.levels.len() - 1,
+            Items::LevelTiles(_) | Items::CoarserNodes => 0..self.levels.len() - 1,
             Items::CoarseGrids => self.large_levels()..self.large_levels() + 1,
             _ => 0..1,
         }
@@ -261,7 +264,6 @@ impl WallWorkspace {
                 compute.dispatch_workgroups(x, y, 1);
             }
         };
-        let of_level = |level: usize| self.levels.get(level).map_or(0, |level| level.count);
         let count = match items {
             Items::Echoes | Items::EchoBlocks => {
                 let size = if *items == Items::Echoes { shader.workgroup_size } else { 4096 };
@@ -271,9 +273,15 @@ impl WallWorkspace {
                 return Ok(());
             }
             Items::One | Items::CoarseGrids => 1,
+            Items::NodeBlocks => self.parameters.node_count.div_ceil(1024),
             Items::Nodes => self.parameters.node_count.div_ceil(shader.workgroup_size),
-            Items::LevelNodes | Items::FinerNodes => of_level(level).div_ceil(shader.workgroup_size),
-            Items::CoarserNodes => of_level(level + 1).div_ceil(shader.workgroup_size),
+            Items::Tiles(columns) | Items::LevelTiles(columns) => {
+                self.levels.get(level).map_or(0, |level| tile_count(&self.parameters, level, *columns))
+            }
+            Items::CoarserNodes => {
+                let count = self.levels.get(level + 1).map_or(0, |level| level.count);
+                count.div_ceil(shader.workgroup_size)
+            }
         };
         let of_levels = &self.bind_groups[shader.name];
         dispatch(of_levels.get(level).unwrap_or(&of_levels[0]), count);

@@ -2,6 +2,7 @@
 //! part of `Operator`.
 
 use super::Level;
+use super::stencil_at::stencil_at;
 
 /// The second difference of three values in a row, from first differences: these are exact where neighbours
 /// are alike.
@@ -11,40 +12,31 @@ fn second_difference(a: f32, b: f32, c: f32) -> f32 {
 
 /// The gradient of λ times the bending energy of `x`, the values of a grid, at its node j of ring k.
 pub fn bending(level: &Level, x: &[f32], k: usize, j: usize) -> f32 {
-    let (rings, nodes) = (level.rings as usize, level.nodes as usize);
-    let row = k * nodes;
-    let after = |j: usize| if j + 1 == nodes { 0 } else { j + 1 };
-    let previous = |j: usize| if j == 0 { nodes - 1 } else { j - 1 };
-    let (next, before) = (after(j), previous(j));
-    let here = x[row + j];
-    let (x_next, x_before) = (x[row + next], x[row + before]);
-    let bend_before = second_difference(x[row + previous(before)], x_before, here);
-    let bend = second_difference(x_before, here, x_next);
-    let bend_next = second_difference(here, x_next, x[row + after(next)]);
+    let rings = level.rings as usize;
+    let s = stencil_at(level, x, k, j);
+    let bend_before = second_difference(s.last_but_one, s.before, s.here);
+    let bend = second_difference(s.before, s.here, s.next);
+    let bend_next = second_difference(s.here, s.next, s.next_but_one);
     let around = (bend_before - bend) + (bend_next - bend);
 
     // Second differences along the axis exist on inner rings, twists between two rings.
     let (mut arch_below, mut arch, mut arch_above, mut twist) = (0.0, 0.0, 0.0, 0.0);
     if k >= 1 {
-        let below = row - nodes;
-        let x_below = x[below + j];
         if k >= 2 {
-            arch_below = second_difference(x[below - nodes + j], x_below, here);
+            arch_below = second_difference(s.below_but_one, s.below, s.here);
         }
         if k + 1 < rings {
-            arch = second_difference(x_below, here, x[row + nodes + j]);
+            arch = second_difference(s.below, s.here, s.above);
         }
-        twist = ((here - x_before) - (x_below - x[below + before]))
-            - ((x_next - here) - (x[below + next] - x_below));
+        twist =
+            ((s.here - s.before) - (s.below - s.below_before)) - ((s.next - s.here) - (s.below_next - s.below));
     }
     if k + 1 < rings {
-        let above = row + nodes;
-        let x_above = x[above + j];
         if k + 2 < rings {
-            arch_above = second_difference(here, x_above, x[above + nodes + j]);
+            arch_above = second_difference(s.here, s.above, s.above_but_one);
         }
-        twist += ((x[above + next] - x_above) - (x_next - here))
-            - ((x_above - x[above + before]) - (here - x_before));
+        twist +=
+            ((s.above_next - s.above) - (s.next - s.here)) - ((s.above - s.above_before) - (s.here - s.before));
     }
     let along = (arch_below - arch) + (arch_above - arch);
     level.along * along + level.around * around + level.twist * twist

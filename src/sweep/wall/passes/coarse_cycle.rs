@@ -1,31 +1,27 @@
 //! Multigrid: the whole cycle over the coarser grids (`shaders/sweep/coarse_cycle.wgsl`).
 
 use super::diagonal::{diagonal, has_arch};
-use super::{Level, Matrix, WallParameters, prolong, remainder, restrict, smooth, smooth_last};
+use super::{Level, Matrix, WallParameters, ascend, descend};
 
+/// Most nodes of the grids that one workgroup goes through the cycle over, all together.
+pub const MOST_OF_ONE: u32 = 1360;
 /// Added to the diagonal of the coarsest grid, in units of the largest one, so that a wall without echoes has a solution.
 pub(in crate::sweep::wall) const FLOOR: f32 = 1e-6;
 
-/// The values of the first of some grids after a cycle over them, from a right-hand side and the values after a first
-/// relaxation. `own` has, grid by grid, each node's weight and the
-/// inverse of its diagonal. The last grid, a line, is solved by factors.
+/// The values of the first of some grids after a cycle over them, from a right-hand side. `own` has, grid by grid, each
+/// node's weight and the inverse of its diagonal. The last grid, a line, is solved by factors.
 pub fn coarse_cycle(
     parameters: &WallParameters,
     levels: &[Level],
     own: &[&[[f32; 2]]],
     right: &[f32],
-    relaxed: &[f32],
 ) -> Vec<f32> {
     let ([level, coarser @ ..], [first, others @ ..]) = (levels, own) else { return Vec::new() };
     let Some(next) = coarser.first() else { return solve(level, first, right) };
     let matrix = Matrix { parameters, level, rows: &[], own: first };
-    let mut values = smooth(&matrix, right, relaxed);
-    let left = remainder(&matrix, right, &values);
-    let (coarse_right, coarse_relaxed) = restrict(parameters, level, next, others[0], &left);
-    let correction = coarse_cycle(parameters, coarser, others, &coarse_right, &coarse_relaxed);
-    prolong(level, next, &correction, &mut values);
-    let values = smooth(&matrix, right, &values);
-    smooth_last(&matrix, right, &values).0
+    let (values, coarse_right) = descend(&matrix, next, right);
+    let correction = coarse_cycle(parameters, coarser, others, &coarse_right);
+    ascend(&matrix, next, &correction, right, &values).0
 }
 
 /// Solves the coarsest grid.

@@ -28,13 +28,13 @@ impl Matrix<'_> {
     }
 
     /// What `x` leaves of a right-hand side.
-    pub(super) fn remainder(&self, right: &[f32], x: &[f32]) -> Vec<f32> {
+    pub(super) fn left(&self, right: &[f32], x: &[f32]) -> Vec<f32> {
         (0..right.len()).map(|node| right[node] - self.times(x, node)).collect()
     }
 
     /// `x` after a relaxation of that weight.
     pub(super) fn relaxed(&self, right: &[f32], x: &[f32], relaxation: f32) -> Vec<f32> {
-        let left = self.remainder(right, x);
+        let left = self.left(right, x);
         (0..x.len()).map(|node| x[node] + (relaxation * self.own[node][1]) * left[node]).collect()
     }
 }

@@ -73,6 +73,8 @@ pub struct WallParameters {
     pub first_relaxation: f32,
     /// … and of those between.
     pub second_relaxation: f32,
+    /// 1 where small grids have low tiles, which many workgroups share.
+    pub low_tiles: u32,
 }
 
 impl WallParameters {
@@ -256,12 +258,8 @@ pub struct State {
     pub done: u32,
     /// The number of their steps.
     pub steps: u32,
-    /// Square of the residual, in the preconditioner's norm.
+    /// Square of the residual, in the preconditioner's norm, before the last of them.
     pub residual_square: f32,
-    /// α: length of a step.
-    pub alpha: f32,
-    /// β: share of the last direction in the next.
-    pub beta: f32,
     /// Square of the residual at which they end.
     pub max_residual_square: f32,
 }
@@ -271,4 +269,16 @@ impl State {
     pub fn is_solved(&self) -> bool {
         self.done == CONVERGED || self.done == EXHAUSTED
     }
+}
+
+/// `NextStep` of the shaders: what `apply` finds before a step of conjugate gradients, and `cg_step` goes by.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct NextStep {
+    /// How they end: 0 while they go on, [`CONVERGED`], [`BROKEN`] or [`EXHAUSTED`].
+    pub ends: u32,
+    /// Square of the residual, in the preconditioner's norm.
+    pub square: f32,
+    /// β: share of the last direction in the next.
+    pub beta: f32,
 }

@@ -11,6 +11,11 @@ pub(super) fn restricted(
     k: u32,
     j: u32,
 ) -> f32 {
+    let weight_of_node = |u: u32| match candidate(u, j, fine.nodes, coarse.nodes, true) {
+        node if node == fine.nodes => 0.0,
+        node => weight_of(j, share_of(node, fine.nodes, coarse.nodes, true)),
+    };
+    let weights = [0, 1, 2, 3].map(weight_of_node);
     let mut sum = 0.0;
     for t in 0..4 {
         let ring = candidate(t, k, fine.rings, coarse.rings, false);
@@ -22,12 +27,9 @@ pub(super) fn restricted(
             continue;
         }
         let mut row = 0.0;
-        for u in 0..4 {
+        for (u, weight) in (0..).zip(weights).filter(|(_, weight)| *weight != 0.0) {
             let node = candidate(u, j, fine.nodes, coarse.nodes, true);
-            if node < fine.nodes {
-                let of_node = weight_of(j, share_of(node, fine.nodes, coarse.nodes, true));
-                row += of_node * fine_value((ring * fine.nodes + node) as usize);
-            }
+            row += weight * fine_value((ring * fine.nodes + node) as usize);
         }
         sum += of_ring * row;
     }

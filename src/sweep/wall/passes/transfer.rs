@@ -19,7 +19,11 @@ pub(super) fn share_of(i: u32, fine: u32, coarse: u32, closed: bool) -> Share {
     let below = i / 2;
     // In units of 1/intervals.
     let rest = i % 2 * coarse_intervals + (2 * coarse_intervals - intervals) * below;
-    let above = if closed { (below + 1) % coarse } else { (below + 1).min(coarse - 1) };
+    let above = match (below + 1 == coarse, closed) {
+        (false, _) => below + 1,
+        (true, false) => below,
+        (true, true) => 0,
+    };
     Share { below, above, part: rest as f32 / intervals as f32 }
 }
 
@@ -40,10 +44,15 @@ pub(super) fn candidate(t: u32, coarser: u32, fine: u32, coarse: u32, closed: bo
     if fine == coarse {
         return if t == 0 { coarser } else { fine };
     }
-    if closed {
-        return if t < fine { (2 * coarser + 2 * fine + t - 2) % fine } else { fine };
-    }
     let two_on = 2 * coarser + t;
+    if closed {
+        let on = if two_on >= 2 { two_on - 2 } else { two_on + fine - 2 };
+        return match () {
+            () if t >= fine => fine,
+            () if on >= fine => on - fine,
+            () => on,
+        };
+    }
     if two_on >= 2 && two_on - 2 < fine { two_on - 2 } else { fine }
 }
 
