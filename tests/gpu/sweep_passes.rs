@@ -479,8 +479,7 @@ fn descend_and_ascend_are_their_twins() {
         let [found, found_rights] = device.run(&workspace, "descend", &inputs, ["values", "rights"]);
         let (mut expected, mut expected_rights) = (Vec::new(), vec![grids.of(0, &rights).to_vec()]);
         for l in 0..coarsest {
-            let (of_grid, of_coarse) =
-                passes::descend(&grids.matrix(l), &levels[l + 1], &expected_rights[l]);
+            let (of_grid, of_coarse) = passes::descend(&grids.matrix(l), &levels[l + 1], &expected_rights[l]);
             expected.push(of_grid);
             expected_rights.push(of_coarse);
         }
@@ -549,8 +548,7 @@ fn the_cycle_of_one_workgroup_is_its_twin() {
         ];
         let [found] = device.run(&workspace, "coarse_cycle", &inputs, ["results"]);
         let of_each: Vec<&[[f32; 2]]> = own[first..].iter().map(|own| &own[..]).collect();
-        let expected =
-            passes::coarse_cycle(parameters, &levels[first..], &of_each, grids.of(first, &rights));
+        let expected = passes::coarse_cycle(parameters, &levels[first..], &of_each, grids.of(first, &rights));
         let size = expected.iter().fold(0.0_f64, |most, x| most.max(f64::from(x.abs())));
         let expected = of_levels(&results, levels, |l| (l == first).then(|| expected.clone()));
         numbers(&found, &expected, Tolerance::of(device.exact, 4096.0, size)).unwrap();
@@ -675,16 +673,10 @@ fn cg_limit_apply_and_cg_step_decide_as_their_twins() {
     for (rings, nodes) in GRIDS.into_iter().chain([(2000, 512)]) {
         let parameters = parameters(rings, nodes);
         let workspace = device.engine.prepare(&parameters, &[]).unwrap();
-        let tiles =
-            |columns| passes::tile_count(&parameters, &parameters.finest(), columns) as usize;
+        let tiles = |columns| passes::tile_count(&parameters, &parameters.finest(), columns) as usize;
         let count = parameters.node_count as usize;
         let (none, rows) = (vec![0.0_f32; count], vec![[0.0_f32; 4]; count]);
-        let begun = State {
-            residual_square: 3.0,
-            steps: 4,
-            max_residual_square: 1e-3,
-            ..State::default()
-        };
+        let begun = State { residual_square: 3.0, steps: 4, max_residual_square: 1e-3, ..State::default() };
         // Above and below what is enough, no numbers, the first step, the last one, and once it is done.
         for (low, high, state) in [
             (0.0, 2.0, begun),

@@ -4,7 +4,8 @@ use super::ReadyPass;
 use super::pass::{Items, Pass};
 use crate::gpu::{Buffers, Context, GpuError, Timer, checked, dispatch_size};
 use crate::sweep::wall::passes::{
-    APPLY_COLUMNS, ASCEND_COLUMNS, DeviceEcho, Level, MOST_OF_ONE, NextStep, State, WallParameters, tile_count,
+    APPLY_COLUMNS, ASCEND_COLUMNS, DeviceEcho, Level, MOST_OF_ONE, NextStep, State, WallParameters,
+    tile_count,
 };
 use std::collections::BTreeMap;
 use std::ops::Range;

@@ -28,15 +28,15 @@ pub fn bending(level: &Level, x: &[f32], k: usize, j: usize) -> f32 {
         if k + 1 < rings {
             arch = second_difference(s.below, s.here, s.above);
         }
-        twist =
-            ((s.here - s.before) - (s.below - s.below_before)) - ((s.next - s.here) - (s.below_next - s.below));
+        twist = ((s.here - s.before) - (s.below - s.below_before))
+            - ((s.next - s.here) - (s.below_next - s.below));
     }
     if k + 1 < rings {
         if k + 2 < rings {
             arch_above = second_difference(s.here, s.above, s.above_but_one);
         }
-        twist +=
-            ((s.above_next - s.above) - (s.next - s.here)) - ((s.above - s.above_before) - (s.here - s.before));
+        twist += ((s.above_next - s.above) - (s.next - s.here))
+            - ((s.above - s.above_before) - (s.here - s.before));
     }
     let along = (arch_below - arch) + (arch_above - arch);
     level.along * along + level.around * around + level.twist * twist

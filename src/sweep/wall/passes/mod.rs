@@ -53,9 +53,14 @@ pub use lump::lump;
 pub use matrix::Matrix;
 pub use measure::measure;
 pub use move_wall::move_wall;
-pub use parameters::{BROKEN, CONVERGED, DeviceEcho, EXHAUSTED, Level, MOST_COARSEST, NextStep, State, WallParameters};
+pub use parameters::{
+    BROKEN, CONVERGED, DeviceEcho, EXHAUSTED, Level, MOST_COARSEST, NextStep, State, WallParameters,
+};
 pub use partials::sum_of_partials;
 pub use pick_digit::pick_digit;
 pub use sum::sum_of_workgroup;
-pub use tile::{APPLY_COLUMNS, ASCEND_COLUMNS, DESCEND_COLUMNS, LOW_TILE_RINGS, MANY_NODES, TILE_COLUMNS, TILE_RINGS, tile_count};
+pub use tile::{
+    APPLY_COLUMNS, ASCEND_COLUMNS, DESCEND_COLUMNS, LOW_TILE_RINGS, MANY_NODES, TILE_COLUMNS, TILE_RINGS,
+    tile_count,
+};
 pub use wall_residual::{MAX_CELLS, WallResidual, residual_to_wall};
