@@ -24,7 +24,7 @@ pub fn device() -> Option<&'static Device<GpuWallEngine>> {
 /// (rings, nodes).
 const GRIDS: [(u32, u32); 7] = [(3, 8), (8, 9), (20, 60), (21, 61), (17, 100), (64, 256), (150, 130)];
 
-/// A parameters on such a grid, with everything known; where it has an even number of rings, of low tiles.
+/// Parameters on such a grid, with everything known; where it has an even number of rings, of low tiles.
 pub fn parameters(rings: u32, nodes: u32) -> WallParameters {
     let arc_mm = 2.0 * std::f64::consts::PI * 11.0 / f64::from(nodes);
     WallParameters {
@@ -32,7 +32,7 @@ pub fn parameters(rings: u32, nodes: u32) -> WallParameters {
         gated: 1,
         tolerance_square: 1e-3,
         max_steps: 7,
-        low_tiles: u32::from(rings % 2 == 0),
+        low_tiles: u32::from(rings.is_multiple_of(2)),
         ..WallParameters::new([rings, nodes], [1.2 * arc_mm, arc_mm], 11.0, 0.1)
     }
     .with_noise(0.7)
