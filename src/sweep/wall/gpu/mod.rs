@@ -177,8 +177,8 @@ impl GpuWallEngine {
         let (rings, nodes) = (grid.rings as u32, grid.nodes as u32);
         let Runner { context, passes, .. } = &self.runner;
         let parameters = WallParameters {
-            // A program on the CPU has few threads.
-            low_tiles: u32::from(!context.is_software()),
+            // A program on the CPU has few threads. A host's device says what it is, too: sums must not depend on who made it.
+            low_tiles: u32::from(context.device.adapter_info().device_type != wgpu::DeviceType::Cpu),
             ..WallParameters::new([rings, nodes], [grid.step_mm, grid.arc_mm], start_mm, OUT_OF_PLANE)
         };
         let start = Instant::now();
