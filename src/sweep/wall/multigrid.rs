@@ -402,6 +402,28 @@ mod tests {
         }
     }
 
+    /// On a grid that is worth several threads, and with bands that end beside coarse rings and between them.
+    #[test]
+    fn the_cycle_does_not_depend_on_the_threads() {
+        let grid = WallGrid { rings: 302, nodes: 50, step_mm: 1.0, arc_mm: 1.0 };
+        let operator = Operator::of(&equations(&grid), &grid, 0.3, LocalSmoothness::EVEN);
+        let right: Vec<f64> = (0..grid.node_count()).map(|i| (0.37 * (i * i % 977) as f64).sin()).collect();
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let multigrid = Multigrid::of(&operator).unwrap();
+                let mut values = vec![f64::NAN; right.len()];
+                multigrid.precondition(&right, &mut values, &mut multigrid.room());
+                (grid.bands().len(), values)
+            })
+        };
+        let (few, expected) = on(1);
+        for threads in [2, 7, 11] {
+            let (many, found) = on(threads);
+            assert!((threads == 2 || few < many) && expected == found, "{threads}");
+        }
+    }
+
     #[test]
     fn a_grid_and_the_next_coarser_one_cover_the_same_wall() {
         for (rings, nodes, step_mm, fewer) in
