@@ -11,7 +11,6 @@ use lumenmesh::low_level::cylinders::passes::{
 };
 use lumenmesh::settings::Settings;
 use rand::RngExt;
-use std::cmp::Ordering;
 use std::iter::repeat_n;
 
 /// The owner of a point that is in no face.
@@ -82,11 +81,6 @@ pub fn bins_and_scatters(device: &Device, section: &Section<f32>, settings: &Set
     agrees(&grouped, &groups.points);
 
     if tube.face_count() <= 1024 {
-        // A face's points come in any order.
-        let mut sorted = groups.points.clone();
-        for ends in groups.offsets.windows(2) {
-            sorted[ends[0] as usize..ends[1] as usize].sort_by(in_order_of_numbers);
-        }
         for pass in at_once(device) {
             let outputs = ["offsets", "listed_faces", "grouped"];
             let [offsets, mut listed, grouped] = device.run(&workspace, pass, &[points], outputs);
@@ -94,7 +88,7 @@ pub fn bins_and_scatters(device: &Device, section: &Section<f32>, settings: &Set
             let FitParameters { max_short, max_middle, .. } = *workspace.parameters();
             let expected = listed_faces(&of_twin, max_short, max_middle, listed.words.len());
             same_list(&mut listed, &expected);
-            agrees(&with_sorted_faces(&grouped, &groups.offsets), &sorted);
+            agrees(&as_ordered(&grouped, &groups.offsets, &groups.points), &groups.points);
         }
     }
 }
@@ -105,19 +99,23 @@ fn at_once(device: &Device) -> Vec<&'static str> {
     [Some("group_few"), wide.then_some("group_few_wide")].into_iter().flatten().collect()
 }
 
-fn in_order_of_numbers(p: &[f32; 3], q: &[f32; 3]) -> Ordering {
-    p.iter().zip(q).map(|(a, b)| a.total_cmp(b)).find(|order| order.is_ne()).unwrap_or(Ordering::Equal)
-}
-
-/// Grouped points with those of each face in the order of their numbers.
-fn with_sorted_faces(grouped: &Readback, offsets: &[u32]) -> Readback {
-    let mut points: Vec<[u32; 4]> = grouped.words.as_chunks().0.to_vec();
+/// Grouped points, whose order within a face is any, each at the place of the nearest of `points`.
+fn as_ordered(grouped: &Readback, offsets: &[u32], points: &[[f32; 3]]) -> Readback {
+    let found: Vec<[u32; 4]> = grouped.words.as_chunks().0.to_vec();
+    let mut words = found.clone();
     for ends in offsets.windows(2) {
-        let of_face = &mut points[ends[0] as usize..ends[1] as usize];
-        let numbers = |[r, theta, z, _]: [u32; 4]| [r, theta, z].map(f32::from_bits);
-        of_face.sort_by(|p, q| in_order_of_numbers(&numbers(*p), &numbers(*q)));
+        let places = ends[0] as usize..ends[1] as usize;
+        let mut left = found[places.clone()].to_vec();
+        for place in places {
+            let apart = |point: &[u32; 4]| -> f32 {
+                let numbers = point.iter().zip(points[place]);
+                numbers.map(|(bits, expected)| (f32::from_bits(*bits) - expected).abs()).sum()
+            };
+            let nearest = (0..left.len()).min_by(|&a, &b| apart(&left[a]).total_cmp(&apart(&left[b])));
+            words[place] = left.swap_remove(nearest.unwrap());
+        }
     }
-    Readback { before: grouped.before.clone(), words: points.as_flattened().to_vec() }
+    Readback { before: grouped.before.clone(), words: words.as_flattened().to_vec() }
 }
 
 /// Lists of long faces and of those of middle size, in any order.
