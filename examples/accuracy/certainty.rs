@@ -18,7 +18,7 @@ const END: &str = "<!-- standard errors: end -->\n";
 const PICTURE: &str = "docs/images/standard_errors.svg";
 
 /// The recordings: a name, the vessel, whether the catheter only advances, and the seed.
-const RECORDINGS: [(&str, &str, bool, u64); 4] = [
+pub(super) const RECORDINGS: [(&str, &str, bool, u64); 4] = [
     ("arch", "arch", true, 7),
     ("iliac", "aorto_iliac_bifurcation_vmtk", true, 11),
     ("coarctation", "aorta_arch_coarctation_bpm120", true, 5),
@@ -93,7 +93,7 @@ impl Certainty {
     }
 
     /// The spread of the distances in standard errors: the root mean square, of which more than 10 count as 10.
-    fn spread(&self) -> f64 {
+    pub(super) fn spread(&self) -> f64 {
         let squares = self.0.iter().map(|(error, standard)| (error / standard).min(10.0).powi(2));
         (squares.sum::<f64>() / self.0.len().max(1) as f64).sqrt()
     }
@@ -110,6 +110,14 @@ impl Certainty {
     }
 }
 
+/// How the catheter goes, where it only advances or not.
+pub(super) fn insertion(is_steady: bool) -> Insertion {
+    match is_steady {
+        true => Insertion::steady().with_speed_mm_s(SPEED_MM_S),
+        false => Insertion::default(),
+    }
+}
+
 /// Measures all kinds and writes table and picture, or prints those with `wanted` in their names.
 pub(super) fn run(wanted: Option<&str>) -> Result<()> {
     let mut table = String::from(
@@ -123,11 +131,7 @@ pub(super) fn run(wanted: Option<&str>) -> Result<()> {
             continue;
         }
         for (short, vessel, is_steady, seed) in RECORDINGS {
-            let insertion = match is_steady {
-                true => Insertion::steady().with_speed_mm_s(SPEED_MM_S),
-                false => Insertion::default(),
-            };
-            let simulation = kinds::simulated(kind, vessel, insertion, seed)?;
+            let simulation = kinds::simulated(kind, vessel, insertion(is_steady), seed)?;
             let truth = Truth::new(simulation.vessel.surface().clone())?;
             let lumen = match Reconstructor::new(Settings::default()).run(&simulation.recording) {
                 Ok(lumen) => lumen,

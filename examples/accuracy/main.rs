@@ -8,6 +8,8 @@
 //! cargo run --release --example accuracy -- --kinds ring  # kinds with that in their names; prints only
 //! cargo run --release --example accuracy -- --standard-errors       # whether standard errors hold, all kinds
 //! cargo run --release --example accuracy -- --standard-errors drift # those kinds; prints only
+//! cargo run --release --example accuracy -- --live                  # the live sweep beside the whole recording's, all kinds
+//! cargo run --release --example accuracy -- --live none,glitch      # those kinds; prints only
 //! ```
 //!
 //! `LUMENMESH_SHARED` names the folder with `recordings/` and `data/` (default: `../shared`), `LUMENMESH_PYTHON` a
@@ -18,6 +20,7 @@ mod certainty;
 #[path = "../../tests/support/data.rs"]
 mod data;
 mod kinds;
+mod live;
 
 use data::shared_path as shared;
 use glam::DVec3;
@@ -81,6 +84,7 @@ fn main() -> ExitCode {
     let done = match first.as_deref() {
         Some("--kinds") => kinds::run(second.as_deref()).map(|()| true),
         Some("--standard-errors") => certainty::run(second.as_deref()).map(|()| true),
+        Some("--live") => live::run(second.as_deref()).map(|()| true),
         wanted => run(wanted),
     };
     match done {

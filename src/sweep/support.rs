@@ -299,6 +299,27 @@ impl Tally {
     }
 }
 
+/// Sums of values about every node, over the nodes at most so many rings and nodes away.
+pub(super) fn sums_about(grid: &WallGrid, values: &[f64], [rings_away, nodes_away]: [usize; 2]) -> Vec<f64> {
+    let WallGrid { rings, nodes, .. } = *grid;
+    let add = |sums: &mut [f64], values: &[f64]| sums.iter_mut().zip(values).for_each(|(sum, x)| *sum += x);
+    let mut sums = vec![0.0; values.len()];
+    let mut column = vec![0.0; nodes];
+    for (k, around) in sums.chunks_exact_mut(nodes).enumerate() {
+        column.fill(0.0);
+        for other in k.saturating_sub(rings_away)..(k + rings_away + 1).min(rings) {
+            add(&mut column, &values[other * nodes..(other + 1) * nodes]);
+        }
+        for offset in 0..=2 * nodes_away {
+            // Node j takes what lies `offset - nodes_away` after it.
+            let first = (nodes + offset - nodes_away) % nodes;
+            add(around, &column[first..]);
+            add(&mut around[nodes - first..], &column[..first]);
+        }
+    }
+    sums
+}
+
 /// Moments of a value per node within a window about one of them; offsets in nodes.
 #[derive(Debug, Clone, Copy, Default)]
 struct Moments {

@@ -139,6 +139,37 @@ fn a_live_sweep_comes_near_to_the_batch() {
     }
 }
 
+/// Rays that err by themselves, and trackers that shift whole frames, more than the thesis's in the second.
+#[test]
+fn live_standard_errors_hold() {
+    for (shape, insertion, position_sd_mm) in
+        [("stenosis", Insertion::default(), 0.3), ("arch", Insertion::steady(), 0.8)]
+    {
+        let noise = simulate::Noise::default().with_seed(7).with_position_sd_mm(position_sd_mm);
+        let settings = simulate::SimulationSettings::default().with_insertion(insertion).with_noise(noise);
+        let simulation = vessel::simulated(shape, &settings);
+        let mut live = pushed(&simulation.recording.frames, &sweep());
+        let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
+        for is_last in [false, true] {
+            if is_last {
+                live.flush().unwrap();
+            }
+            let surface = live.surface();
+            let error_mm = evaluate(&surface, &truth).unwrap().error_mm;
+            let standard_mm = surface.array("standard_error_mm").unwrap();
+            let within = |times: f64| {
+                let is_within = |(error, standard): (&f64, &f64)| error.abs() <= times * standard;
+                error_mm.iter().zip(standard_mm).filter(|pair| is_within(*pair)).count() as f64
+                    / error_mm.len() as f64
+            };
+            println!("{shape} {is_last}: {:.3} {:.3} {:.3}", within(0.5), within(1.0), within(2.0));
+            assert!(within(2.0) > 0.9, "{shape}: {}", within(2.0));
+            // Those of a quarter of the size would not pass.
+            assert!(within(0.5) < 0.7, "{shape}: {}", within(0.5));
+        }
+    }
+}
+
 /// Nothing is seen for a while, in a bend: after a short gap the axis still reaches the catheter, after a long one not.
 #[test]
 fn frames_that_are_off_the_axis_are_told() {
@@ -272,7 +303,7 @@ fn a_file_that_is_no_whole_snapshot_is_told() {
         bytes[at] ^= 4;
         bytes
     };
-    says(&changed(16), "version: found 0, expected 4");
+    says(&changed(16), "version: found 1, expected 5");
     says(&changed(good.len() / 2), "content: found bytes that have changed");
     std::fs::write(&path, &good).unwrap();
     Live::restore(&path).unwrap();

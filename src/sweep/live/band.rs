@@ -1,6 +1,7 @@
 //! The echoes between two rings, at most a fixed number of them, and their sums.
 
 use super::running_median::RunningMedian;
+use super::shared::{Pulls, Signs, signs};
 use crate::numerics::robust::huber_weight;
 use crate::sweep::prepare::axis::{Axis, Place};
 use crate::sweep::prepare::echo::Echo;
@@ -35,6 +36,10 @@ pub(super) struct Sample {
     pub weight: f64,
     /// Their weighted squared residuals about their mean, mm².
     pub scatter_mm2: f64,
+    /// The signs of its frame; of several echoes, the weighted mean.
+    signs: Signs,
+    /// Their weighted residuals about their mean, times their signs about the mean, mm.
+    scattered_mm: Signs,
     /// The bin of its residual in the running median of all.
     pub bin: Option<u16>,
     /// Whether it represents several echoes: their residuals stay in the median as they were when they arrived.
@@ -49,6 +54,8 @@ struct BandEquation {
     /// The robust part of the weight: 1 near the wall, 0 off it.
     robust: f64,
     value_mm: f64,
+    /// What a millimetre of residual adds to the right-hand side, for each echo.
+    pull: f64,
     on_wall: bool,
 }
 
@@ -57,7 +64,17 @@ impl Sample {
     pub fn new(place: &Place, point_mm: DVec3, image_normal: DVec3, frame: u32, grid: &WallGrid) -> Self {
         let mut echo = Echo::new(place, image_normal, frame, grid.nodes);
         echo.ring -= place.ring.floor();
-        Self { echo, point_mm, image_normal, weight: 1.0, scatter_mm2: 0.0, bin: None, is_merged: false }
+        Self {
+            echo,
+            point_mm,
+            image_normal,
+            weight: 1.0,
+            scatter_mm2: 0.0,
+            signs: signs(frame),
+            scattered_mm: Signs::default(),
+            bin: None,
+            is_merged: false,
+        }
     }
 
     /// Evaluates its residual, moves its projection, and returns the equation there; its band begins at `ring`.
@@ -100,7 +117,7 @@ impl Sample {
             let measured = measure_on_tube(&mut self.echo);
             let (weight, value_mm) = (self.weight * measured.weight, measured.wall_mm);
             let corners = grid.corners(self.echo.ring + ring as f64, self.echo.node);
-            return BandEquation { corners, weight, robust: 1.0, value_mm, on_wall: true };
+            return BandEquation { corners, weight, robust: 1.0, value_mm, pull: 0.0, on_wall: true };
         }
         let (corners, measured) = self.measure(ring, model);
         let residual = self.echo.residual_mm.abs();
@@ -109,7 +126,13 @@ impl Sample {
         let robust = if on_wall { huber_weight(noise_mm, residual) } else { 0.0 };
         let weight = robust * measured.weight * self.weight;
         let value_mm = measured.wall_mm + measured.radial_mm;
-        BandEquation { corners, weight, robust, value_mm, on_wall }
+        BandEquation { corners, weight, robust, value_mm, pull: robust * measured.weight.sqrt(), on_wall }
+    }
+
+    /// Its residual times each of its signs, times its weight, mm.
+    fn signed_mm(&self) -> Signs {
+        let residual_mm = (self.weight * self.echo.residual_mm) as f32;
+        std::array::from_fn(|k| residual_mm * self.signs[k] + self.scattered_mm[k])
     }
 
     /// Replaces its residual in the running median of all.
@@ -128,20 +151,23 @@ impl Sample {
 pub(super) struct Sums {
     pub rings: Range<usize>,
     pub equations: Equations,
+    pub pulls: Pulls,
     pub tally: Tally,
 }
 
 impl Sums {
     fn none(grid: &WallGrid, ring: usize) -> Self {
-        Self { rings: ring..ring, equations: Equations::over(grid, ring..ring), tally: Tally::new(0) }
+        let equations = Equations::over(grid, ring..ring);
+        Self { rings: ring..ring, equations, pulls: Pulls::default(), tally: Tally::new(0) }
     }
 
     /// Whether they are those of a band of this grid.
     fn is_sound(&self, grid: &WallGrid) -> bool {
-        let Self { rings, equations, tally } = self;
+        let Self { rings, equations, pulls, tally } = self;
         rings.start <= rings.end
             && rings.end <= grid.rings
             && (rings.is_empty() || equations.covers(rings, grid))
+            && pulls.0.len() == rings.len() * grid.nodes
             && tally.covers(rings.len() * grid.nodes)
     }
 
@@ -151,6 +177,12 @@ impl Sums {
         self.cover(ring..ring + 2, grid);
         if equation.weight > 0.0 {
             self.equations.add(&equation.corners, equation.weight, equation.value_mm);
+            let signed_mm = sample.signed_mm();
+            for (node, share) in equation.corners.nodes.into_iter().zip(equation.corners.weights) {
+                let pull = (equation.pull * share) as f32;
+                let sums = &mut self.pulls.0[node - self.rings.start * grid.nodes];
+                sums.iter_mut().zip(signed_mm).for_each(|(sum, signed)| *sum += pull * signed);
+            }
         }
         let residual = sample.echo.residual_mm;
         let squares_mm2 = sample.scatter_mm2 + sample.weight * residual * residual;
@@ -163,14 +195,18 @@ impl Sums {
         if self.rings.is_empty() {
             self.rings = rings;
             self.equations = Equations::over(grid, self.rings.clone());
+            self.pulls = Pulls::new(self.rings.len() * grid.nodes);
             self.tally = Tally::new(self.rings.len() * grid.nodes);
         } else if rings.start < self.rings.start || rings.end > self.rings.end {
             let wider = rings.start.min(self.rings.start)..rings.end.max(self.rings.end);
             let mut equations = Equations::over(grid, wider.clone());
             equations.merge(&self.equations);
+            let first = (self.rings.start - wider.start) * grid.nodes;
+            let mut pulls = Pulls::new(wider.len() * grid.nodes);
+            pulls.merge(first, &self.pulls);
             let mut tally = Tally::new(wider.len() * grid.nodes);
-            tally.merge((self.rings.start - wider.start) * grid.nodes, &self.tally, 0);
-            *self = Self { rings: wider, equations, tally };
+            tally.merge(first, &self.tally, 0);
+            *self = Self { rings: wider, equations, pulls, tally };
         }
     }
 
@@ -200,6 +236,7 @@ impl Sums {
     /// Multiplies the weights of all samples.
     fn scale(&mut self, factor: f64) {
         self.equations.scale(factor);
+        self.pulls.scale(factor);
         self.tally.scale(factor);
     }
 }
@@ -320,6 +357,7 @@ impl EchoBand {
         for sample in self.cells.iter_mut().flatten() {
             sample.weight *= factor;
             sample.scatter_mm2 *= factor;
+            sample.scattered_mm.iter_mut().for_each(|scattered| *scattered *= factor as f32);
         }
         self.all_sums().for_each(|sums| sums.scale(factor));
     }
@@ -472,5 +510,11 @@ fn merged(a: &Sample, b: &Sample, share: f64, ring: usize, scene: Scene) -> Opti
     echo.ring -= ring as f64;
     echo.keep_projection_of(&a.echo);
     let scatter_mm2 = a.scatter_mm2 + b.scatter_mm2 + a.weight * t * apart * apart;
-    Some(Sample { echo, point_mm, image_normal, weight, scatter_mm2, bin: None, is_merged: true })
+    let scattered_mm = std::array::from_fn(|k| {
+        let own = (a.weight * t * apart) as f32 * (a.signs[k] - b.signs[k]);
+        a.scattered_mm[k] + b.scattered_mm[k] + own
+    });
+    let signs = std::array::from_fn(|k| a.signs[k] + (b.signs[k] - a.signs[k]) * t as f32);
+    let (bin, is_merged) = (None, true);
+    Some(Sample { echo, point_mm, image_normal, weight, scatter_mm2, signs, scattered_mm, bin, is_merged })
 }

@@ -9,6 +9,7 @@
 mod band;
 mod curve;
 mod running_median;
+mod shared;
 mod vessel;
 mod wall;
 

@@ -3,6 +3,7 @@
 use super::band::{EchoBand, Sample, Scene};
 use super::curve::{Curve, Growth};
 use super::running_median::RunningMedian;
+use super::shared::{Independent, Pulls, SharedErrors, WallOf};
 use crate::Result;
 use crate::geometry::{Pose, rotation_minimising_frames, transported};
 use crate::numerics::robust::{SD_PER_MAD, median};
@@ -17,7 +18,7 @@ use crate::sweep::wall::bending::LocalSmoothness;
 use crate::sweep::wall::equations::Equations;
 use crate::sweep::wall::operator::Operator;
 use crate::sweep::wall::residual::ResidualModel;
-use crate::sweep::wall::solver::{self, System};
+use crate::sweep::wall::solver::Solver;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -163,6 +164,9 @@ pub(super) struct GrowingVessel {
     pending: VecDeque<PendingEcho>,
     untried: usize,
     pub support: Support,
+    shared: SharedErrors,
+    /// Whether the next wall that shows errors is one of the background window: frames have them in turns.
+    errors_behind: bool,
     /// Running medians of |residual|, of the weight of the echoes at a node, and of the nodes' standard errors.
     residuals: RunningMedian,
     densities: RunningMedian,
@@ -197,6 +201,8 @@ impl GrowingVessel {
             pending: VecDeque::new(),
             untried: 0,
             support: Support::none(),
+            shared: SharedErrors::none(),
+            errors_behind: false,
             residuals: RunningMedian::new(),
             densities: RunningMedian::new(),
             errors: RunningMedian::new(),
@@ -226,6 +232,7 @@ impl GrowingVessel {
             && [axis.points_mm.len(), axis.frames.len(), self.bands.len()] == [rings; 3]
             && [self.radii_mm.len(), self.bins.len()] == [rings * nodes; 2]
             && self.support.is_of(rings * nodes)
+            && self.shared.is_sound(rings, nodes)
             && self.bands.iter().enumerate().all(|(ring, band)| band.is_sound(&self.grid, ring))
             && self.observed.start <= self.observed.end
             && self.observed.end < rings
@@ -317,7 +324,7 @@ impl GrowingVessel {
                 band.renew(scene, &mut self.residuals, round < WARM_UP_ROUNDS, &mut { usize::MAX });
             }
             step.echoes += count;
-            step.rings += self.solve(self.observed.start..self.observed.end + 1)?.len();
+            step.rings += self.solve(self.observed.start..self.observed.end + 1, 0)?.len();
         }
         step.changed.push(0..self.grid.rings);
         step.solving_s = start.elapsed().as_secs_f64();
@@ -355,9 +362,10 @@ impl GrowingVessel {
             let reach = ((high - low) / 2.0 + self.margin()).min(MAX_WINDOW as f64 / 2.0);
             let first = (middle - reach).max(0.0) as usize;
             let window = first..((middle + reach) as usize + 2).min(self.grid.rings);
-            self.refit(window, MAX_MEASURED, &mut step)?;
+            self.refit(window, MAX_MEASURED, usize::from(!self.errors_behind), &mut step)?;
         }
         self.refit_background(&mut step)?;
+        self.errors_behind = !self.errors_behind;
         step.solving_s = start.elapsed().as_secs_f64();
         step.changed.retain(|range| !range.is_empty());
         Ok(step)
@@ -374,7 +382,14 @@ impl GrowingVessel {
         step.placing_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         for _ in 0..LAST_ROUNDS {
-            self.refit(self.observed.start..self.observed.end + 1, usize::MAX, &mut step)?;
+            let window = self.observed.start..self.observed.end + 1;
+            if window.len() < 2 {
+                break;
+            }
+            self.renew(&window, usize::MAX, &mut step);
+            let solved = self.solve(window, SharedErrors::walls())?;
+            step.rings += solved.len();
+            step.changed.push(solved);
         }
         step.solving_s = start.elapsed().as_secs_f64();
         Ok(step)
@@ -407,7 +422,7 @@ impl GrowingVessel {
         }
         let window = self.background..(self.background + BACKGROUND_WINDOW).min(self.observed.end + 1);
         self.background += BACKGROUND_STEP;
-        self.refit(window, MAX_MEASURED_BEHIND, step)
+        self.refit(window, MAX_MEASURED_BEHIND, usize::from(self.errors_behind), step)
     }
 
     /// Rings beside the newest echoes that these affect: three times the range of the bending term.
@@ -561,6 +576,7 @@ impl GrowingVessel {
             self.radii_mm.splice(at..at, end.into_iter().cycle().take(count));
             self.bins.splice(at..at, std::iter::repeat_n([None; 2], count));
             self.support.insert(at, count);
+            self.shared.insert(at_front, rings.len(), nodes);
         }
     }
 
@@ -684,19 +700,26 @@ impl GrowingVessel {
     }
 
     /// Fits the wall in a window of rings again: up to `budget` residuals are evaluated anew, and the wall is solved for.
-    fn refit(&mut self, window: Range<usize>, budget: usize, step: &mut Step) -> Result<()> {
+    fn refit(
+        &mut self,
+        window: Range<usize>,
+        budget: usize,
+        of_errors: usize,
+        step: &mut Step,
+    ) -> Result<()> {
         let window = window.start.max(self.observed.start)..window.end.min(self.observed.end + 1);
         if window.len() >= 2 {
             self.renew(&window, budget, step);
-            let solved = self.solve(window)?;
+            let solved = self.solve(window, of_errors)?;
             step.rings += solved.len();
             step.changed.push(solved);
         }
         Ok(())
     }
 
-    /// Solves for the wall in a window of observed rings with all others fixed. Returns the rings.
-    fn solve(&mut self, window: Range<usize>) -> Result<Range<usize>> {
+    /// Solves for the wall in a window of observed rings with all others fixed, and for so many of the walls that show its
+    /// errors. Returns the rings.
+    fn solve(&mut self, window: Range<usize>, of_errors: usize) -> Result<Range<usize>> {
         let (nodes, all) = (self.grid.nodes, self.grid.rings);
         let smoothness = self.smoothness_mm2();
         let beside = |margin: usize| window.start.saturating_sub(margin)..(window.end + margin).min(all);
@@ -704,7 +727,8 @@ impl GrowingVessel {
         let grid = WallGrid { rings: solved.len(), ..self.grid };
         let mut equations = Equations::over(&self.grid, solved.clone());
         let mut tally = Tally::new(supporting.len() * nodes);
-        for band in &self.bands[beside(MAX_PROJECTION + SUPPORT_MARGIN)] {
+        let bands = beside(MAX_PROJECTION + SUPPORT_MARGIN);
+        for band in &self.bands[bands.clone()] {
             let sums = &band.sums;
             if sums.rings.is_empty() {
                 continue;
@@ -716,13 +740,48 @@ impl GrowingVessel {
                 supporting.start.saturating_sub(sums.rings.start) * nodes,
             );
         }
-        let x = &self.radii_mm[solved.start * nodes..solved.end * nodes];
+        let first = solved.start * nodes;
+        let x = &self.radii_mm[first..solved.end * nodes];
         let free = window.start - solved.start..window.end - solved.start;
+        let free_nodes = free.start * nodes..free.end * nodes;
+        let operator = Operator::of(&equations, &grid, smoothness, LocalSmoothness::EVEN);
         let mut product = vec![0.0; x.len()];
-        Operator::of(&equations, &grid, smoothness, LocalSmoothness::EVEN).apply(x, &mut product);
+        operator.apply(x, &mut product);
         let equations = equations.of_change(&grid, smoothness, &product, free.clone());
-        let mut change = vec![0.0; x.len()];
-        solver::solve(&grid, &System::plain(&equations, smoothness), SOLVED_SHARE, MAX_STEPS, &mut change)?;
+        let matrix = Operator::of(&equations, &grid, smoothness, LocalSmoothness::EVEN);
+        let solver = Solver::of(&matrix)?;
+        let change_of = |right: &[f64]| -> Result<Vec<f64>> {
+            let mut change = vec![0.0; right.len()];
+            solver.solve(right, &|_, _| (), SOLVED_SHARE, MAX_STEPS, &mut change)?;
+            Ok(change)
+        };
+        let right: Vec<f64> = equations.rows().iter().map(|row| row[4]).collect();
+        let change = change_of(&right)?;
+        for _ in 0..of_errors {
+            let wall = self.shared.next(&window);
+            let mut right = match wall {
+                WallOf::Residuals(k) => self.pulls(k, &bands, &solved),
+                WallOf::Remains(k) => {
+                    // What the wall through the residuals leaves of them is what its bending takes.
+                    let mut right = vec![0.0; product.len()];
+                    let drawn = self.shared.at(WallOf::Residuals(k), first..solved.end * nodes);
+                    Operator::lumped(
+                        &grid,
+                        vec![0.0; drawn.len()],
+                        smoothness,
+                        LocalSmoothness::EVEN.clone(),
+                    )
+                    .apply(&drawn, &mut right);
+                    right
+                }
+            };
+            operator.apply(&self.shared.at(wall, first..solved.end * nodes), &mut product);
+            for (node, (right, product)) in right.iter_mut().zip(&product).enumerate() {
+                *right = if free_nodes.contains(&node) { *right - product } else { 0.0 };
+            }
+            let change = change_of(&right)?;
+            self.shared.add(wall, first + free_nodes.start, &change[free_nodes.clone()]);
+        }
         for ring in free {
             let travel = &change[ring * nodes..(ring + 1) * nodes];
             let ring = ring + solved.start;
@@ -732,19 +791,31 @@ impl GrowingVessel {
                 band.travel_mm += farthest;
             }
         }
-        self.update_support(&window, &supporting, &tally, smoothness);
+        self.update_support(&window, &supporting, &tally);
         Ok(window)
     }
 
-    /// Updates the support of a window's nodes by the echoes of the rings `supporting`.
-    fn update_support(
-        &mut self,
-        window: &Range<usize>,
-        supporting: &Range<usize>,
-        tally: &Tally,
-        smoothness: f64,
-    ) {
+    /// The right-hand side of the wall through the residuals with signs `k`, over the rings `solved`.
+    fn pulls(&self, k: usize, bands: &Range<usize>, solved: &Range<usize>) -> Vec<f64> {
         let nodes = self.grid.nodes;
+        let mut right = vec![0.0; solved.len() * nodes];
+        for band in &self.bands[bands.clone()] {
+            let Pulls(pulls) = &band.sums.pulls;
+            let first = band.sums.rings.start * nodes;
+            let skipped = (solved.start * nodes).saturating_sub(first).min(pulls.len());
+            let at = (first + skipped).saturating_sub(solved.start * nodes).min(right.len());
+            right[at..]
+                .iter_mut()
+                .zip(&pulls[skipped..])
+                .for_each(|(right, pull)| *right += f64::from(pull[k]));
+        }
+        right
+    }
+
+    /// Updates the support of a window's nodes by the echoes of the rings `supporting`.
+    fn update_support(&mut self, window: &Range<usize>, supporting: &Range<usize>, tally: &Tally) {
+        let nodes = self.grid.nodes;
+        let smoothness = self.smoothness_mm2();
         let grid = WallGrid { rings: supporting.len(), ..self.grid };
         let density = self.densities.value() / grid.cell_mm2();
         // Echoes whose residuals are still to be evaluated have none, and are not certain for that.
@@ -752,18 +823,29 @@ impl GrowingVessel {
         let max_mm = max_error_mm(self.errors.value(), &grid);
         let offset = supporting.start * nodes;
         let own: Vec<f64> = tally.own().collect();
-        for node in window.start * nodes..window.end * nodes {
+        // Half of a thin plate's variance is the echoes', the other half the bends'.
+        let plate_mm = &statistics.errors.standard_error_mm;
+        let variance_mm2: Vec<f64> = plate_mm.iter().map(|plate| 0.5 * plate * plate).collect();
+        let independent = Independent {
+            grid: &grid,
+            variance_mm2: &variance_mm2,
+            alike_mm: &statistics.errors.reach_mm,
+            weight: &own,
+            reach_mm: (smoothness / density.max(f64::MIN_POSITIVE)).powf(0.25),
+        };
+        let errors = self.shared.node_errors(window, supporting.start, &independent);
+        for (place, node) in (window.start * nodes..window.end * nodes).enumerate() {
             let here = node - offset;
-            let error_mm = statistics.errors.standard_error_mm[here];
+            let plate_mm = plate_mm[here];
             let [density_bin, error_bin] = &mut self.bins[node];
             recount(&mut self.densities, density_bin, Some(own[here]).filter(|n| *n > 0.0));
-            recount(&mut self.errors, error_bin, Some(error_mm).filter(|e| e.is_finite()));
+            recount(&mut self.errors, error_bin, Some(plate_mm).filter(|e| e.is_finite()));
             self.support.echoes[node] = own[here].round() as u32;
             self.support.residual_mm[node] = statistics.residual_mm[here];
-            self.support.standard_error_mm[node] = error_mm;
-            self.support.error_reach_mm[node] = statistics.errors.reach_mm[here];
+            self.support.standard_error_mm[node] = errors.standard_error_mm[place];
+            self.support.error_reach_mm[node] = errors.reach_mm[place];
             self.support.last_frame[node] = tally.last_frame[here];
-            self.support.supported[node] = error_mm <= max_mm
+            self.support.supported[node] = plate_mm <= max_mm
                 && !statistics.is_mouth[here]
                 && is_in_reach(self.radii_mm[node], self.farthest_mm);
         }
