@@ -25,96 +25,34 @@ override THREADS: u32 = 256u;
 var<workgroup> histogram: array<atomic<u32>, 2048>;
 var<workgroup> chosen: vec4u;
 var<workgroup> rest: vec4u;
-// Sums over the invocations, each in copies, so that those which add at the same time seldom add to the same word.
-var<workgroup> sums: array<atomic<u32>, 208>;
-var<workgroup> totals: array<u32, 13>;
+// Of bottom and top: points, those below the bounds, those kept; and the fixed-point sums of the kept
+// distances and of their sizes, or first of all distances.
+var<workgroup> number: array<atomic<u32>, 2>;
+var<workgroup> below: array<atomic<u32>, 2>;
+var<workgroup> kept: array<atomic<u32>, 2>;
+var<workgroup> sum_low: array<atomic<u32>, 4>;
+var<workgroup> sum_high: array<atomic<u32>, 4>;
 var<workgroup> shared_count: u32;
-
-const COPIES: u32 = 16u;
-// The places of the sums. Of bottom and top: the points, later those kept; and those below the bounds.
-const KEPT: u32 = 0u;
-const BELOW: u32 = 2u;
 // Keys that the last loop has visited.
-const SEEN: u32 = 4u;
-// Low and high words of the fixed-point sums of the kept distances and of their sizes, or first of all distances.
-const LOW: u32 = 5u;
-const HIGH: u32 = 9u;
+var<workgroup> seen: atomic<u32>;
 
-fn clear_sums(local: u32) {
-    for (var i = local; i < 13u * COPIES; i += THREADS) {
-        atomicStore(&sums[i], 0u);
-    }
-    workgroupBarrier();
-}
-
-fn add_to(which: u32, x: u32, local: u32) {
-    atomicAdd(&sums[which * COPIES + local % COPIES], x);
-}
-
-fn add_to_sum(which: u32, x: Wide, local: u32) {
-    let copy = local % COPIES;
-    let old = atomicAdd(&sums[(LOW + which) * COPIES + copy], x.low);
+fn add_to_sum(which: u32, x: Wide) {
+    let old = atomicAdd(&sum_low[which], x.low);
     let carry = select(0u, 1u, old + x.low < old);
-    atomicAdd(&sums[(HIGH + which) * COPIES + copy], x.high + carry);
-}
-
-// Adds up the copies, once all invocations have added to them. All must call it.
-fn add_up(local: u32) {
-    workgroupBarrier();
-    if (local < LOW) {
-        var total = 0u;
-        for (var copy = 0u; copy < COPIES; copy++) {
-            total += atomicLoad(&sums[local * COPIES + copy]);
-        }
-        totals[local] = total;
-    } else if (local < HIGH) {
-        let high = local + HIGH - LOW;
-        var total = Wide(0u, 0u);
-        for (var copy = 0u; copy < COPIES; copy++) {
-            let part = Wide(atomicLoad(&sums[local * COPIES + copy]), atomicLoad(&sums[high * COPIES + copy]));
-            total = add_wide(total, part);
-        }
-        totals[local] = total.low;
-        totals[high] = total.high;
-    }
-    workgroupBarrier();
+    atomicAdd(&sum_high[which], x.high + carry);
 }
 
 fn sum_of(which: u32) -> Wide {
-    return Wide(totals[LOW + which], totals[HIGH + which]);
+    return Wide(atomicLoad(&sum_low[which]), atomicLoad(&sum_high[which]));
 }
 
-// Four places of an invocation from i on.
-fn four_places(i: u32) -> vec4u {
-    return vec4u(i, i + THREADS, i + 2u * THREADS, i + 3u * THREADS);
-}
-
-// Their keys. EMPTY beyond the face's end.
+// Keys of a face from place i on, THREADS apart: read together, since a device waits longer for memory than it
+// counts. EMPTY beyond the face's end.
 fn four_keys(i: u32, end: u32) -> vec4u {
-    let at = min(four_places(i), vec4u(end - 1u));
-    let four = vec4u(keys[at.x], keys[at.y], keys[at.z], keys[at.w]);
-    return select(four, vec4u(EMPTY), four_places(i) >= vec4u(end));
-}
-
-// Sixteen keys, read together, since a device waits longer for memory than it counts.
-struct Keys {
-    a: vec4u,
-    b: vec4u,
-    c: vec4u,
-    d: vec4u,
-}
-
-
-fn keys_from(i: u32, end: u32) -> Keys {
-    if (i + 4u * THREADS >= end) {
-        return Keys(four_keys(i, end), vec4u(EMPTY), vec4u(EMPTY), vec4u(EMPTY));
-    }
-    return Keys(
-        four_keys(i, end),
-        four_keys(i + 4u * THREADS, end),
-        four_keys(i + 8u * THREADS, end),
-        four_keys(i + 12u * THREADS, end),
-    );
+    let places = vec4u(i, i + THREADS, i + 2u * THREADS, i + 3u * THREADS);
+    let within = min(places, vec4u(end - 1u));
+    let four = vec4u(keys[within.x], keys[within.y], keys[within.z], keys[within.w]);
+    return select(four, vec4u(EMPTY), places >= vec4u(end));
 }
 
 // Counts a key by its first 11 bits.
@@ -122,13 +60,6 @@ fn count_first(key: u32) {
     if (key != EMPTY) {
         atomicAdd(&histogram[key >> 21u], 1u);
     }
-}
-
-fn count_first_of_four(four: vec4u) {
-    count_first(four.x);
-    count_first(four.y);
-    count_first(four.z);
-    count_first(four.w);
 }
 
 // Counts a key for each of the ranks whose higher bits it has.
@@ -152,13 +83,6 @@ fn count(key: u32, prefix: vec4u, shift: u32) {
     }
 }
 
-fn count_four(four: vec4u, prefix: vec4u, shift: u32) {
-    count(four.x, prefix, shift);
-    count(four.y, prefix, shift);
-    count(four.z, prefix, shift);
-    count(four.w, prefix, shift);
-}
-
 // Puts the keys at four ranks among the keys of a face into `chosen`; what a rank beyond them gives is not
 // used.
 fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
@@ -170,12 +94,12 @@ fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
         rest = ranks;
     }
     workgroupBarrier();
-    for (var i = begin + local; i < end; i += 16u * THREADS) {
-        let k = keys_from(i, end);
-        count_first_of_four(k.a);
-        count_first_of_four(k.b);
-        count_first_of_four(k.c);
-        count_first_of_four(k.d);
+    for (var i = begin + local; i < end; i += 4u * THREADS) {
+        let four = four_keys(i, end);
+        count_first(four.x);
+        count_first(four.y);
+        count_first(four.z);
+        count_first(four.w);
     }
     workgroupBarrier();
     var own = 0u;
@@ -206,12 +130,12 @@ fn select_four(begin: u32, end: u32, ranks: vec4u, local: u32) {
         let prefix = chosen;
         let wanted = rest;
         workgroupBarrier();
-        for (var i = begin + local; i < end; i += 16u * THREADS) {
-            let k = keys_from(i, end);
-            count_four(k.a, prefix, shift);
-            count_four(k.b, prefix, shift);
-            count_four(k.c, prefix, shift);
-            count_four(k.d, prefix, shift);
+        for (var i = begin + local; i < end; i += 4u * THREADS) {
+            let four = four_keys(i, end);
+            count(four.x, prefix, shift);
+            count(four.y, prefix, shift);
+            count(four.z, prefix, shift);
+            count(four.w, prefix, shift);
         }
         workgroupBarrier();
         var counts = vec4u(0u);
@@ -272,54 +196,39 @@ fn with_key(shares: Shares, key: u32, bottom: Bounds, top: Bounds, rule: Cylinde
     return Shares(shares.seen + 1u, shares.bottom, plus(shares.top, d, top, rule.scale));
 }
 
-fn with_four(shares: Shares, four: vec4u, bottom: Bounds, top: Bounds, rule: Cylinder) -> Shares {
-    var sum = with_key(shares, four.x, bottom, top, rule);
-    sum = with_key(sum, four.y, bottom, top, rule);
-    sum = with_key(sum, four.z, bottom, top, rule);
-    return with_key(sum, four.w, bottom, top, rule);
-}
-
-fn add_share(half: u32, share: Share, local: u32) {
-    add_to(KEPT + half, share.kept, local);
-    add_to(BELOW + half, share.below, local);
-    add_to_sum(half, share.sum, local);
-    add_to_sum(2u + half, share.size, local);
+fn add_share(half: u32, share: Share) {
+    atomicAdd(&kept[half], share.kept);
+    atomicAdd(&below[half], share.below);
+    add_to_sum(half, share.sum);
+    add_to_sum(2u + half, share.size);
 }
 
 // Sums the distances within bounds. All invocations must call it.
 fn sum_within(begin: u32, end: u32, bottom: Bounds, top: Bounds, rule: Cylinder, local: u32) {
-    clear_sums(local);
+    if (local < 4u) {
+        atomicStore(&sum_low[local], 0u);
+        atomicStore(&sum_high[local], 0u);
+    }
+    if (local < 2u) {
+        atomicStore(&kept[local], 0u);
+        atomicStore(&below[local], 0u);
+    }
+    if (local == 0u) {
+        atomicStore(&seen, 0u);
+    }
+    workgroupBarrier();
     var shares = Shares(0u, NO_SHARE, NO_SHARE);
-    for (var i = begin + local; i < end; i += 16u * THREADS) {
-        let k = keys_from(i, end);
-        shares = with_four(shares, k.a, bottom, top, rule);
-        shares = with_four(shares, k.b, bottom, top, rule);
-        shares = with_four(shares, k.c, bottom, top, rule);
-        shares = with_four(shares, k.d, bottom, top, rule);
+    for (var i = begin + local; i < end; i += 4u * THREADS) {
+        let four = four_keys(i, end);
+        shares = with_key(shares, four.x, bottom, top, rule);
+        shares = with_key(shares, four.y, bottom, top, rule);
+        shares = with_key(shares, four.z, bottom, top, rule);
+        shares = with_key(shares, four.w, bottom, top, rule);
     }
-    add_to(SEEN, shares.seen, local);
-    add_share(0u, shares.bottom, local);
-    add_share(1u, shares.top, local);
-    add_up(local);
-}
-
-// Writes the key of a point at place i, and counts it with those of bottom and top distances.
-fn number_of_key(i: u32, end: u32, point: vec4u, a: f32, shape: Face, scale: f32) -> vec2u {
-    if (i >= end) {
-        return vec2u(0u);
-    }
-    let nearer = distance_to_face(from_corner(point, a), shape);
-    let key = packed_key(nearer.distance, nearer.top, scale);
-    keys[i] = key;
-    return vec2u(1u - (key >> 31u), key >> 31u);
-}
-
-// The numbers of keys of bottom and top distances among four.
-fn numbers_of(four: vec4u) -> vec2u {
-    let valid = select(vec4u(1u), vec4u(0u), four == vec4u(EMPTY));
-    let tops = (four >> vec4u(31u)) * valid;
-    let top = tops.x + tops.y + tops.z + tops.w;
-    return vec2u(valid.x + valid.y + valid.z + valid.w - top, top);
+    atomicAdd(&seen, shares.seen);
+    add_share(0u, shares.bottom);
+    add_share(1u, shares.top);
+    workgroupBarrier();
 }
 
 fn bounds_of(half: u32, n: u32, quartiles: vec2u, unit: f32) -> Bounds {
@@ -356,32 +265,33 @@ fn main(
         let a = radii[row + j];
         let above = row + parameters.nodes;
         let shape = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
-        clear_sums(local);
+        if (local < 2u) {
+            atomicStore(&number[local], 0u);
+        }
+        workgroupBarrier();
         var own_number = vec2u(0u);
         if (KEYED == 0u) {
-            for (var i = begin + local; i < end; i += 4u * THREADS) {
-                let at = min(four_places(i), vec4u(end - 1u));
-                let p = grouped[at.x];
-                let q = grouped[at.y];
-                let r = grouped[at.z];
-                let s = grouped[at.w];
-                own_number += number_of_key(i, end, p, a, shape, rule.scale);
-                own_number += number_of_key(i + THREADS, end, q, a, shape, rule.scale);
-                own_number += number_of_key(i + 2u * THREADS, end, r, a, shape, rule.scale);
-                own_number += number_of_key(i + 3u * THREADS, end, s, a, shape, rule.scale);
+            for (var i = begin + local; i < end; i += THREADS) {
+                let nearer = distance_to_face(from_corner(grouped[i], a), shape);
+                let key = packed_key(nearer.distance, nearer.top, rule.scale);
+                keys[i] = key;
+                own_number += vec2u(1u - (key >> 31u), key >> 31u);
             }
         } else {
-            for (var i = begin + local; i < end; i += 16u * THREADS) {
-                let k = keys_from(i, end);
-                own_number += numbers_of(k.a) + numbers_of(k.b) + numbers_of(k.c) + numbers_of(k.d);
+            for (var i = begin + local; i < end; i += 4u * THREADS) {
+                let four = four_keys(i, end);
+                let valid = select(vec4u(1u), vec4u(0u), four == vec4u(EMPTY));
+                let tops = (four >> vec4u(31u)) * valid;
+                let top = tops.x + tops.y + tops.z + tops.w;
+                own_number += vec2u(valid.x + valid.y + valid.z + valid.w - top, top);
             }
         }
-        add_to(KEPT, own_number.x, local);
-        add_to(KEPT + 1u, own_number.y, local);
+        atomicAdd(&number[0], own_number.x);
+        atomicAdd(&number[1], own_number.y);
         storageBarrier();
-        add_up(local);
+        workgroupBarrier();
 
-        let n = vec2u(totals[KEPT], totals[KEPT + 1u]);
+        let n = vec2u(atomicLoad(&number[0]), atomicLoad(&number[1]));
         if (parameters.outliers == OUTLIERS_IQR) {
             let first = vec2u(first_quartile(n.x), n.x + first_quartile(n.y));
             let third = vec2u(third_quartile(n.x), n.x + third_quartile(n.y));
@@ -394,10 +304,10 @@ fn main(
         let top = bounds_of(1u, n.y, chosen.zw, rule.unit);
         workgroupBarrier();
         sum_within(begin, end, bottom, top, rule, local);
-        let count_kept = vec2u(totals[KEPT], totals[KEPT + 1u]);
+        let count_kept = vec2u(atomicLoad(&kept[0]), atomicLoad(&kept[1]));
         if (parameters.statistic == STATISTIC_MEDIAN) {
-            let x = totals[BELOW] + median(count_kept.x);
-            let y = n.x + totals[BELOW + 1u] + median(count_kept.y);
+            let x = atomicLoad(&below[0]) + median(count_kept.x);
+            let y = n.x + atomicLoad(&below[1]) + median(count_kept.y);
             select_four(begin, end, vec4u(x, x, y, y), local);
         }
         if (local < 2u) {
@@ -418,7 +328,7 @@ fn main(
                 triangle_support[triangle] = own;
             }
         }
-        if (local == 0u && totals[SEEN] == end - begin) {
+        if (local == 0u && atomicLoad(&seen) == end - begin) {
             atomicAdd(&listed_faces[LONG_DONE], 1u);
         }
         workgroupBarrier();
