@@ -61,6 +61,8 @@ run() {
 }
 
 run cargo test "${chosen[@]}"
+# The comparisons that other devices need, which do not compute f32 as the CPU does.
+run env LUMENMESH_WITHIN_ROUNDING=1 cargo test "${chosen[@]}" --test gpu -- grouping:: measure:: update:: sweep_passes::
 # The Python package, as it is installed.
 if [ -x target/python/bin/python ]; then
   python=target/python/bin/python
