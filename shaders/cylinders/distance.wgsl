@@ -21,17 +21,7 @@ fn main(
     if (i >= offsets[all_faces]) {
         return;
     }
-    let p = grouped[i];
-    let face_of_all = p.w;
-    let cylinder = face_of_all / parameters.faces;
-    let face = face_of_all - cylinder * parameters.faces;
-    let level = face / parameters.nodes;
-    let j = face - level * parameters.nodes;
-    let k = select(j + 1u, 0u, j + 1u == parameters.nodes);
-    let row = cylinder * parameters.node_count + level * parameters.nodes;
-    let above = row + parameters.nodes;
-    let a = radii[row + j];
-    let own = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
-    let nearer = distance_to_face(from_corner(p, a), own);
-    keys[i] = packed_key(nearer.distance, nearer.top, cylinders[cylinder].scale);
+    let point = grouped[i];
+    let cylinder = point.w / parameters.faces;
+    keys[i] = key_of_point(point, corners_of(point.w, cylinder), cylinders[cylinder].scale);
 }

@@ -4,15 +4,15 @@
 // passes.
 
 const THREADS: u32 = 128u;
-const CHUNK: u32 = 512u;
+const CHUNK: u32 = 4u * THREADS;
 const MOST: u32 = 16u;
 
 // The keys of a chunk of points.
-var<workgroup> shared_keys: array<u32, 512>;
+var<workgroup> shared_keys: array<u32, CHUNK>;
 // Of each face: r of the corners a, b, b' and a', less that of a but for a; and whether it has few points. What else
 // `Face` has is computed anew for each point: the more memory a workgroup has, the fewer of them fit a processor.
-var<workgroup> corners: array<vec4f, 128>;
-var<workgroup> has_few: array<u32, 128>;
+var<workgroup> corners: array<vec4f, THREADS>;
+var<workgroup> has_few: array<u32, THREADS>;
 
 // Puts the key of a point at a place of the chunk, unless it is beyond the end or its face has more points.
 fn share_out(i: u32, count: u32, p: vec4u, first_face: u32, scale: f32) {
@@ -22,7 +22,7 @@ fn share_out(i: u32, count: u32, p: vec4u, first_face: u32, scale: f32) {
     let face = p.w - first_face;
     if (has_few[face] == 1u) {
         let r = corners[face];
-        shared_keys[i] = key_of_point(p, r.x, face_of_corners(r.y, r.z, r.w), scale);
+        shared_keys[i] = key_of_point(p, Corners(r.x, face_of_corners(r.y, r.z, r.w)), scale);
     }
 }
 
@@ -96,17 +96,21 @@ fn main(
     let faces_here = min(THREADS, parameters.faces - first);
     let first_face = cylinder * parameters.faces + first;
     let face_of_all = first_face + local;
-    var face = FaceAt();
+    var own = Corners();
+    var own_begin = 0u;
+    var points = 0u;
     if (local < faces_here) {
-        face = face_at(face_of_all, cylinder);
+        own = corners_of(face_of_all, cylinder);
+        own_begin = offsets[face_of_all];
+        points = offsets[face_of_all + 1u] - own_begin;
     }
-    let is_own = local < faces_here && face.points <= MOST;
-    corners[local] = vec4f(face.a, face.shape.b, face.shape.b_above, face.shape.a_above);
+    let is_own = local < faces_here && points <= MOST;
+    corners[local] = vec4f(own.a, own.shape.b, own.shape.b_above, own.shape.a_above);
     has_few[local] = select(0u, 1u, is_own);
 
     let begin = offsets[first_face];
     let end = offsets[first_face + faces_here];
-    let count = select(0u, face.points, is_own);
+    let count = select(0u, points, is_own);
     let has_more = count > 8u;
     var k = Keys(vec4u(EMPTY), vec4u(EMPTY));
     var more = k;
@@ -114,9 +118,9 @@ fn main(
         workgroupBarrier();
         share_out_chunk(chunk, min(end - chunk, CHUNK), first_face, rule.scale, local);
         workgroupBarrier();
-        k = eight_shared_keys(k, face.begin - chunk, count, 0u);
+        k = eight_shared_keys(k, own_begin - chunk, count, 0u);
         if (has_more) {
-            more = eight_shared_keys(more, face.begin - chunk, count, 8u);
+            more = eight_shared_keys(more, own_begin - chunk, count, 8u);
         }
     }
     if (!is_own) {

@@ -254,17 +254,10 @@ fn main(
     for (var index = workgroup_index(group, groups); index < long_count; index += groups.x * groups.y) {
         let face_of_all = atomicLoad(&listed_faces[FIRST_LISTED + index]);
         let cylinder = face_of_all / parameters.faces;
-        let face = face_of_all % parameters.faces;
         let rule = cylinders[cylinder];
         let begin = offsets[face_of_all];
         let end = offsets[face_of_all + 1u];
-        let level = face / parameters.nodes;
-        let j = face % parameters.nodes;
-        let k = select(j + 1u, 0u, j + 1u == parameters.nodes);
-        let row = cylinder * parameters.node_count + level * parameters.nodes;
-        let a = radii[row + j];
-        let above = row + parameters.nodes;
-        let shape = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
+        let corners = corners_of(face_of_all, cylinder);
         if (local < 2u) {
             atomicStore(&number[local], 0u);
         }
@@ -272,8 +265,7 @@ fn main(
         var own_number = vec2u(0u);
         if (KEYED == 0u) {
             for (var i = begin + local; i < end; i += THREADS) {
-                let nearer = distance_to_face(from_corner(grouped[i], a), shape);
-                let key = packed_key(nearer.distance, nearer.top, rule.scale);
+                let key = key_of_point(grouped[i], corners, rule.scale);
                 keys[i] = key;
                 own_number += vec2u(1u - (key >> 31u), key >> 31u);
             }

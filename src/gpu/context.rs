@@ -133,7 +133,7 @@ pub struct Requirements {
 }
 
 /// Most invocations of a workgroup that a pass makes use of.
-const LARGE_WORKGROUP: u32 = 1024;
+pub(crate) const LARGE_WORKGROUP: u32 = 1024;
 
 impl Requirements {
     /// The requirements of every job.

@@ -384,6 +384,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn sums_are_those_of_the_moments() {
+        let grid = WallGrid { rings: 9, nodes: 11, step_mm: 1.0, arc_mm: 1.0 };
+        let values: Vec<f64> = (0..99).map(|n| f64::from(n * n % 31)).collect();
+        for reach in [[1, 1], [2, 3], [8, 5]] {
+            let moments = Moments::about(&grid, &values, reach);
+            let sums = sums_about(&grid, &values, reach);
+            assert!(sums.iter().zip(&moments).all(|(sum, moments)| *sum == moments.sum), "{reach:?}");
+        }
+        assert_ne!(sums_about(&grid, &values, [1, 1]), sums_about(&grid, &values, [2, 1]));
+    }
+
+    #[test]
     fn gaps_are_closed_where_all_of_their_nodes_may_be() {
         // Half a radius is 3.2 mm.
         let grid = WallGrid { rings: 10, nodes: 40, step_mm: 1.0, arc_mm: 1.0 };

@@ -100,7 +100,8 @@ const TWINS: [(&str, &str); 5] = [
 ];
 
 /// Shaders without a twin, and the reason.
-const WITHOUT_TWIN: [(&str, &str); 8] = [
+const WITHOUT_TWIN: [(&str, &str); 9] = [
+    ("shaders/cylinders/common/point_key.wgsl", "it puts a distance and its key together"),
     ("shaders/cylinders/common/listing.wgsl", "it is a part of passes whose twin lists faces"),
     ("shaders/cylinders/common/points.wgsl", "it is a part of bin and scatter"),
     ("shaders/cylinders/group_few.wgsl", "it does what bin, the prefix sums and scatter do"),

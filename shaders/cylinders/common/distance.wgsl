@@ -56,12 +56,6 @@ fn face_of_corners(b: f32, b_above: f32, a_above: f32) -> Face {
     );
 }
 
-// A point as `scatter` groups it, from a node of that radius.
-fn from_corner(point: vec4u, radius: f32) -> vec3f {
-    let p = bitcast<vec3f>(point.xyz);
-    return vec3f(p.x - radius, p.yz);
-}
-
 fn within_one(t: f32) -> f32 {
     return min(max(t, 0.0), 1.0);
 }

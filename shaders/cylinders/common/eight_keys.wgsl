@@ -9,34 +9,6 @@
 @group(0) @binding(5) var<storage, read_write> triangle_values: array<u32>;
 @group(0) @binding(6) var<storage, read_write> triangle_support: array<TriangleSupport>;
 
-// A face's shape, and the place of its first point and their number.
-struct FaceAt {
-    a: f32,
-    shape: Face,
-    begin: u32,
-    points: u32,
-}
-
-fn face_at(face_of_all: u32, cylinder: u32) -> FaceAt {
-    let begin = offsets[face_of_all];
-    let end = offsets[face_of_all + 1u];
-    let face = face_of_all - cylinder * parameters.faces;
-    let level = face / parameters.nodes;
-    let j = face - level * parameters.nodes;
-    let k = select(j + 1u, 0u, j + 1u == parameters.nodes);
-    let row = cylinder * parameters.node_count + level * parameters.nodes;
-    let above = row + parameters.nodes;
-    let a = radii[row + j];
-    let shape = face_of_corners(radii[row + k] - a, radii[above + k] - a, radii[above + j] - a);
-    return FaceAt(a, shape, begin, end - begin);
-}
-
-// The key of a point.
-fn key_of_point(p: vec4u, a: f32, face: Face, scale: f32) -> u32 {
-    let nearer = distance_to_face(from_corner(p, a), face);
-    return packed_key(nearer.distance, nearer.top, scale);
-}
-
 struct Keys {
     a: vec4u,
     b: vec4u,

@@ -114,16 +114,16 @@ fn face_of_block(block: u32, cylinder: u32, slot: u32) -> u32 {
     return NONE;
 }
 
-fn key_of_own(p: vec4u, is_point: bool, a: f32, face: Face, scale: f32) -> u32 {
+fn key_of_own(p: vec4u, is_point: bool, corners: Corners, scale: f32) -> u32 {
     if (!is_point) {
         return EMPTY;
     }
-    return key_of_point(p, a, face, scale);
+    return key_of_point(p, corners, scale);
 }
 
 // The keys of four points of an invocation, from the first-th of its face on. All are read before the first
 // distance is computed.
-fn four_keys(begin: u32, count: u32, first: u32, a: f32, face: Face, scale: f32) -> vec4u {
+fn four_keys(begin: u32, count: u32, first: u32, corners: Corners, scale: f32) -> vec4u {
     let last = max(count, 1u) - 1u;
     let at = vec4u(first, first + LANES, first + 2u * LANES, first + 3u * LANES);
     let places = vec4u(begin) + min(at, vec4u(last));
@@ -132,10 +132,10 @@ fn four_keys(begin: u32, count: u32, first: u32, a: f32, face: Face, scale: f32)
     let r = grouped[places.z];
     let s = grouped[places.w];
     return vec4u(
-        key_of_own(p, at.x < count, a, face, scale),
-        key_of_own(q, at.y < count, a, face, scale),
-        key_of_own(r, at.z < count, a, face, scale),
-        key_of_own(s, at.w < count, a, face, scale),
+        key_of_own(p, at.x < count, corners, scale),
+        key_of_own(q, at.y < count, corners, scale),
+        key_of_own(r, at.z < count, corners, scale),
+        key_of_own(s, at.w < count, corners, scale),
     );
 }
 
@@ -150,15 +150,19 @@ fn measure(block: u32, cylinder: u32, local: u32) {
         owner = select(0u, face_of_all / parameters.faces, is_face);
     }
     let rule = cylinders[owner];
-    var face = FaceAt();
+    var corners = Corners();
+    var begin = 0u;
+    var points = 0u;
     if (is_face) {
-        face = face_at(face_of_all, owner);
+        corners = corners_of(face_of_all, owner);
+        begin = offsets[face_of_all];
+        points = offsets[face_of_all + 1u] - begin;
     }
-    let is_own = is_face && face.points <= 8u * LANES;
-    let count = select(0u, face.points, is_own);
+    let is_own = is_face && points <= 8u * LANES;
+    let count = select(0u, points, is_own);
     var k = Keys(
-        four_keys(face.begin, count, lane, face.a, face.shape, rule.scale),
-        four_keys(face.begin, count, lane + 4u * LANES, face.a, face.shape, rule.scale),
+        four_keys(begin, count, lane, corners, rule.scale),
+        four_keys(begin, count, lane + 4u * LANES, corners, rule.scale),
     );
     // Top and empty keys have the highest bit.
     let others = (k.a >> vec4u(31u)) + (k.b >> vec4u(31u));

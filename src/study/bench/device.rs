@@ -119,9 +119,7 @@ impl Device {
         let making_memory = Times::measure(repeats, prepare)?;
         let workspace = prepare()?;
         let upload = Times::measure_warm(repeats, || {
-            let coordinates = [&section.r, &section.theta, &section.z];
-            let parts = coordinates.map(|of_all| bytemuck::cast_slice(of_all));
-            engine.runner().context.write_parts(workspace.section(), &parts)?;
+            self.write(&workspace, section)?;
             self.submit(|_| ())
         })?;
         let resident = Times::measure_warm(repeats, || engine.run_resident(&workspace))?;
@@ -131,6 +129,12 @@ impl Device {
         let iteration = self.time_iteration(&workspace, section, settings, repeats)?;
         let passes = self.time_passes(&workspace, section, settings, repeats)?;
         Ok(DeviceRow { end_to_end, of_it, making_memory, upload, resident, readback, iteration, passes })
+    }
+
+    /// Writes the points of a section to a workspace.
+    fn write(&self, workspace: &FitWorkspace, section: &Section<f32>) -> Result<()> {
+        let parts = [&section.r, &section.theta, &section.z].map(|of_all| bytemuck::cast_slice(of_all));
+        Ok(self.engine.runner().context.write_parts(workspace.section(), &parts)?)
     }
 
     /// Device time of one more iteration.
@@ -148,8 +152,7 @@ impl Device {
         }
         let more = settings.clone().with_iterations(settings.iterations + MORE);
         let longer = engine.prepare(section.len() as u32, RADIUS_MM, &more)?;
-        let coordinates = [&section.r, &section.theta, &section.z].map(|of_all| bytemuck::cast_slice(of_all));
-        engine.runner().context.write_parts(longer.section(), &coordinates)?;
+        self.write(&longer, section)?;
         let mut seconds = Vec::new();
         Times::measure_warm(repeats, || {
             let [short_s, long_s] = [engine.device_time_s(workspace)?, engine.device_time_s(&longer)?];

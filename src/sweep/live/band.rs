@@ -167,7 +167,7 @@ impl Sums {
         rings.start <= rings.end
             && rings.end <= grid.rings
             && (rings.is_empty() || equations.covers(rings, grid))
-            && pulls.0.len() == rings.len() * grid.nodes
+            && pulls.are_sound(rings.len() * grid.nodes)
             && tally.covers(rings.len() * grid.nodes)
     }
 

@@ -3,8 +3,8 @@
 //! Echoes of a frame, and of successive frames, err alike: they say less than as many independent ones. The residuals show by
 //! how much. Each frame has random signs, alike in successive frames, and the wall through the residuals times these is a
 //! draw of the wall's error: the dependent wild bootstrap (Shao, JASA 105, 2010). The equations are those of the wall, and
-//! only their right-hand sides are kept beside it; every window of rings that is solved for the wall is solved for one of
-//! them too, in turns. The wall through the residuals as they are shows where it is rougher or smoother than expected.
+//! only their right-hand sides are kept beside it; one of a frame's two windows of rings, in turns, is solved for one of them
+//! too, in turns. The wall through the residuals as they are shows where it is rougher or smoother than expected.
 
 use crate::sweep::prepare::grid::WallGrid;
 use crate::sweep::support::{NodeErrors, sums_about};
@@ -14,7 +14,7 @@ use std::ops::Range;
 /// Right-hand sides: the residuals as they are, then draws of their signs.
 pub(super) const SIGNS: usize = 8;
 /// Walls that are kept: through the residuals of each, and through what each of the draws leaves.
-const WALLS: usize = 2 * SIGNS - 1;
+pub(super) const WALLS: usize = 2 * SIGNS - 1;
 /// Successive frames over which signs are alike: errors that are alike for longer are counted in part.
 const ALIKE_FRAMES: u32 = 8;
 /// Distance over which squares are averaged, in reaches of an echo, and in rings at most.
@@ -43,6 +43,10 @@ pub(super) fn signs(frame: u32) -> Signs {
     signs
 }
 
+fn are_finite(signs: &[Signs]) -> bool {
+    signs.as_flattened().iter().all(|x| x.is_finite())
+}
+
 /// A number whose bits are random: splitmix64 (Steele et al., OOPSLA 2014).
 fn mixed(number: u64) -> u64 {
     let mut bits = number.wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -58,6 +62,11 @@ pub(super) struct Pulls(pub Vec<Signs>);
 impl Pulls {
     pub fn new(nodes: usize) -> Self {
         Self(vec![[0.0; SIGNS]; nodes])
+    }
+
+    /// Whether they are numbers, for so many nodes.
+    pub fn are_sound(&self, nodes: usize) -> bool {
+        self.0.len() == nodes && are_finite(&self.0)
     }
 
     /// Adds those of other echoes, whose node 0 is node `first` here.
@@ -127,6 +136,7 @@ impl SharedErrors {
         self.rings.len() == rings
             && [self.of_residuals.len(), self.of_remains.len()] == [rings * nodes; 2]
             && self.rings.iter().all(is_sound)
+            && [&self.of_residuals, &self.of_remains].into_iter().all(|walls| are_finite(walls))
     }
 
     /// Inserts rings in front or behind, of which as much is known as of the last one there.
@@ -146,11 +156,6 @@ impl SharedErrors {
         let turn = self.rings[(rings.start + rings.end) / 2].rounds as usize % WALLS;
         self.rings[rings.clone()].iter_mut().for_each(|ring| ring.rounds = ring.rounds.saturating_add(1));
         if turn < SIGNS { WallOf::Residuals(turn) } else { WallOf::Remains(turn - SIGNS + 1) }
-    }
-
-    /// Number of walls.
-    pub const fn walls() -> usize {
-        WALLS
     }
 
     fn of(&self, wall: WallOf) -> (&[Signs], usize) {

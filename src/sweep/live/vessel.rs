@@ -3,7 +3,7 @@
 use super::band::{EchoBand, Sample, Scene};
 use super::curve::{Curve, Growth};
 use super::running_median::RunningMedian;
-use super::shared::{Independent, Pulls, SharedErrors, WallOf};
+use super::shared::{Independent, Pulls, SharedErrors, WALLS, WallOf};
 use crate::Result;
 use crate::geometry::{Pose, rotation_minimising_frames, transported};
 use crate::numerics::robust::{SD_PER_MAD, median};
@@ -387,7 +387,7 @@ impl GrowingVessel {
                 break;
             }
             self.renew(&window, usize::MAX, &mut step);
-            let solved = self.solve(window, SharedErrors::walls())?;
+            let solved = self.solve(window, WALLS)?;
             step.rings += solved.len();
             step.changed.push(solved);
         }

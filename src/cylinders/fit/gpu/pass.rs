@@ -78,6 +78,7 @@ const MEASURE_SHORT: &str = include_str!("../../../../shaders/cylinders/common/m
 const LISTING: &str = include_str!("../../../../shaders/cylinders/common/listing.wgsl");
 const POINTS: &str = include_str!("../../../../shaders/cylinders/common/points.wgsl");
 const FILTER: &str = include_str!("../../../../shaders/cylinders/common/filter.wgsl");
+const POINT_KEY: &str = include_str!("../../../../shaders/cylinders/common/point_key.wgsl");
 
 /// A row: name and, where it differs, `in` the file's; stage, items, workgroup size, common files, bindings (a
 /// variable is bound to the buffer of its name, or with `=` to another), and `{ field: value }` of optional fields.
@@ -123,47 +124,49 @@ pub static PASSES: [Pass; 20] = [
     pass!("scatter", Group, Slots, 256, [DISPATCH, POINTS], [
         "section": Read, "owners": Read, "places": Read, "offsets": Read, "grouped": Write,
     ]),
-    pass!("measure_few", Iterate, FewFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, EIGHT_KEYS], [
+    pass!("measure_few", Iterate, FewFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write,
     ]),
-    pass!("measure_short", Iterate, ShortFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, EIGHT_KEYS, MEASURE_SHORT], [
+    pass!("measure_short", Iterate, ShortFaces, 128, [
+        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS, MEASURE_SHORT
+    ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
     ], { constants: &[("MIDDLE", 0.0)], variants: Some(("LANES", &LANES)), subgroups: true }),
     pass!("measure_short_shared", Iterate, ShortFacesShared, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, EIGHT_KEYS, MEASURE_SHORT
+        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
     ], { constants: &[("MIDDLE", 0.0)], variants: Some(("LANES", &LANES)) }),
     pass!("measure_middle" in "measure_short", Iterate, MiddleFaces, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, EIGHT_KEYS, MEASURE_SHORT
+        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
     ], { constants: &[("MIDDLE", 1.0)], variants: Some(("LANES", &MIDDLE_LANES)), subgroups: true }),
     pass!("measure_middle_shared" in "measure_short_shared", Iterate, MiddleFacesShared, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, EIGHT_KEYS, MEASURE_SHORT
+        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
     ], { constants: &[("MIDDLE", 1.0)], variants: Some(("LANES", &MIDDLE_LANES)) }),
-    pass!("measure_long", Iterate, LongFaces, 256, [DISPATCH, DISTANCE, SCALAR, SCAN, FILTER], [
+    pass!("measure_long", Iterate, LongFaces, 256, [DISPATCH, DISTANCE, SCALAR, SCAN, FILTER, POINT_KEY], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Write, "keys": Write,
     ], { constants: &[("KEYED", 0.0), ("THREADS", 256.0)] }),
-    pass!("distance", Iterate, Points, 256, [DISPATCH, DISTANCE, FILTER], [
+    pass!("distance", Iterate, Points, 256, [DISPATCH, DISTANCE, FILTER, POINT_KEY], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "keys": Write,
     ]),
     pass!("measure_long_keyed" in "measure_long", Iterate, KeyedFaces, 256, [
-        DISPATCH, DISTANCE, SCALAR, SCAN, FILTER
+        DISPATCH, DISTANCE, SCALAR, SCAN, FILTER, POINT_KEY
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Write, "keys": Write,
     ], { constants: &[("KEYED", 1.0), ("THREADS", 256.0)] }),
     pass!("measure_long_wide" in "measure_long", Iterate, KeyedFacesWide, 1024, [
-        DISPATCH, DISTANCE, SCALAR, SCAN, FILTER
+        DISPATCH, DISTANCE, SCALAR, SCAN, FILTER, POINT_KEY
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Write, "keys": Write,

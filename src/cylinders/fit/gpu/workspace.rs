@@ -3,7 +3,7 @@
 use super::pass::{Items, LANES, Pass, Stage};
 use super::{CpuStages, ReadyPass};
 use crate::cylinders::passes::{DeviceCylinder, DevicePair, FitParameters, LIST_HEAD};
-use crate::gpu::{Buffers, Context, GpuError, Timer, dispatch_size};
+use crate::gpu::{Buffers, Context, GpuError, LARGE_WORKGROUP, Timer, dispatch_size};
 use crate::settings::Settings;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -26,7 +26,7 @@ pub struct FitWorkspace {
     classes: Classes,
     /// Whether faces have so many points that several workgroups share the distances of each.
     shared_faces: bool,
-    /// Whether the device has workgroups of [`WIDE`] invocations.
+    /// Whether the device has workgroups of [`LARGE_WORKGROUP`] invocations.
     wide: bool,
     middle_groups: u32,
     long_groups: u32,
@@ -245,9 +245,6 @@ const SHARED_FACE: u64 = 2048;
 /// Most points before the gate that one workgroup groups: with more it takes longer than three passes of many workgroups.
 const FEW_POINTS: u32 = 1 << 14;
 
-/// Invocations of a workgroup of the wide passes.
-const WIDE: u32 = 1024;
-
 /// Most windows: each of them reads all places.
 const MOST_WINDOWS: u32 = 64;
 
@@ -301,7 +298,7 @@ impl FitWorkspace {
             iterations,
             classes,
             shared_faces,
-            wide: context.has_workgroups_of(WIDE),
+            wide: context.has_workgroups_of(LARGE_WORKGROUP),
             middle_groups: groups_in_turn(context, middle_blocks) as u32,
             long_groups: groups_in_turn(context, most_above(&parameters, parameters.max_middle)) as u32,
             buffers,
