@@ -122,7 +122,8 @@ typedef struct LumenmeshChange {
    */
   size_t left_out;
   /**
-   * Frames that jump off the path of the others and wait for later ones to decide.
+   * Frames that wait: they jump off the path of the others, and later ones decide; or the vessel began anew, and it is not
+   * their turn yet.
    */
   size_t waiting;
   /**
@@ -130,7 +131,8 @@ typedef struct LumenmeshChange {
    */
   int32_t off_axis;
   /**
-   * 1 where the vessel began anew.
+   * 1 where the vessel began anew, because what was shown before came from frames that are left out now, or from points that
+   * are no wall. Frames follow from the first on, some with each call.
    */
   int32_t restarted;
   /**

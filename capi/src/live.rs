@@ -41,11 +41,13 @@ pub struct LumenmeshChange {
     pub changed: usize,
     /// Frames that were found unfit now: `lumenmesh_live_left_out` says why.
     pub left_out: usize,
-    /// Frames that jump off the path of the others and wait for later ones to decide.
+    /// Frames that wait: they jump off the path of the others, and later ones decide; or the vessel began anew, and it is not
+    /// their turn yet.
     pub waiting: usize,
     /// 1 where the frame lies outside of the vessel's lumen: its echoes wait.
     pub off_axis: i32,
-    /// 1 where the vessel began anew.
+    /// 1 where the vessel began anew, because what was shown before came from frames that are left out now, or from points that
+    /// are no wall. Frames follow from the first on, some with each call.
     pub restarted: i32,
     /// How long the frame took, s of wall-clock time: judging whether it is fit for use;
     pub screening_s: f64,

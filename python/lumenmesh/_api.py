@@ -274,9 +274,11 @@ class Change:
     left_out: list[dict[str, Any]]
     """Frames that were found unfit now, and why."""
     waiting: int
-    """Frames that jump off the path of the others and wait for later ones to decide."""
+    """Frames that wait: they jump off the path of the others, and later ones decide; or the vessel began anew, and it is
+    not their turn yet."""
     restarted: bool
-    """Whether the vessel began anew."""
+    """Whether the vessel began anew, because what was shown before came from frames that are left out now, or from points
+    that are no wall. Frames follow from the first on, some with each push."""
     times: Times = field(compare=False)
     """How long that took; changes are equal if all else is."""
 

@@ -72,8 +72,10 @@ pub(super) fn fit(
 ) -> Result<Vec<Option<NodeSupport>>> {
     let mut support = vec![None; joined.origin.len()];
     let partings = joined.parting.iter().flatten().max().map_or(0, |last| last + 1);
-    for parting in 0..partings {
-        let Some(mut part) = Part::of(joined, parting, tubes, fits) else { continue };
+    // Partings meet in grids only, whose nodes stay.
+    let of_joined = &*joined;
+    let fitted = |parting| -> Result<Option<(Part, Vec<NodeSupport>)>> {
+        let Some(mut part) = Part::of(of_joined, parting, tubes, fits) else { return Ok(None) };
         let near = part.near(echoes);
         let before = part.surface.nodes_mm.clone();
         for _ in 0..ROUNDS {
@@ -82,12 +84,14 @@ pub(super) fn fit(
         }
         part.untangle(&before);
         let seen = part.project(&near)?;
-        let of_nodes = part.support(&seen, joined, fits);
-        for (local, &node) in part.nodes.iter().enumerate() {
-            if part.is_free[local] {
-                joined.surface.nodes_mm[node as usize] = part.surface.nodes_mm[local];
-                support[node as usize] = Some(of_nodes[local]);
-            }
+        let of_nodes = part.support(&seen, of_joined, fits);
+        Ok(Some((part, of_nodes)))
+    };
+    let parts = (0..partings).into_par_iter().map(fitted).collect::<Result<Vec<_>>>()?;
+    for (part, of_nodes) in parts.into_iter().flatten() {
+        for (local, &node) in part.nodes.iter().enumerate().filter(|(local, _)| part.is_free[*local]) {
+            joined.surface.nodes_mm[node as usize] = part.surface.nodes_mm[local];
+            support[node as usize] = Some(of_nodes[local]);
         }
     }
     Ok(support)

@@ -66,7 +66,7 @@ pub(super) fn joined(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) -> R
     let zones = zones(tubes, inner_ends);
     let partings = partings(&zones);
     let patches = partings
-        .iter()
+        .par_iter()
         .map(|members| {
             let zones: Vec<&Zone> = members.iter().map(|&z| &zones[z]).collect();
             patch(tubes, &zones)

@@ -189,7 +189,7 @@ fn supported_part(whole: &Surface) -> Surface {
     let supported = whole.array("supported").unwrap_or_default();
     let mut part = whole.clone();
     part.triangles.retain(|t| t.iter().all(|&n| supported[n as usize] > 0.5));
-    part.without_small_parts(LEAST_PART).without_loose_nodes()
+    part.with_touching_parts_split().without_small_parts(LEAST_PART).without_loose_nodes()
 }
 
 /// Some frames of a recording, with their numbers there.

@@ -6,8 +6,8 @@ use glam::DVec3;
 use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
 
-/// Rings between those that are looked at first to find the nearest.
-const STRIDE: usize = 4;
+/// Rings of a stretch, of which one look tells whether the nearest may be among them.
+const STRETCH: usize = 16;
 
 /// The wall of a branch: a tube about its axis.
 pub(super) struct Tube<'a> {
@@ -21,6 +21,8 @@ pub(super) struct Tube<'a> {
     /// Length of an edge, mm.
     pub edge_mm: f64,
     reach_mm: f64,
+    /// Spheres that hold the origins of all rings of a stretch: centre and radius, mm.
+    stretches: Vec<(DVec3, f64)>,
 }
 
 /// Where a point lies about a tube.
@@ -49,7 +51,12 @@ impl<'a> Tube<'a> {
     ) -> Self {
         let edge_mm = axis.step_mm;
         let reach_mm = radii_mm.iter().copied().fold(0.0, f64::max) + 4.0 * edge_mm;
-        Self { axis, nodes, radii_mm, rings, edge_mm, reach_mm }
+        let sphere = |points_mm: &[DVec3]| {
+            let centre_mm = points_mm.iter().sum::<DVec3>() / points_mm.len() as f64;
+            (centre_mm, points_mm.iter().map(|p| p.distance(centre_mm)).fold(0.0, f64::max))
+        };
+        let stretches = axis.points_mm.chunks(STRETCH).map(sphere).collect();
+        Self { axis, nodes, radii_mm, rings, edge_mm, reach_mm, stretches }
     }
 
     /// Median radius of the wall, mm.
@@ -78,15 +85,22 @@ impl<'a> Tube<'a> {
     /// Where a point lies; `None` beyond the tube's rings, and so far away that it does not matter.
     pub(super) fn spot(&self, point_mm: DVec3) -> Option<Spot> {
         let (first, last) = (*self.rings.start(), *self.rings.end());
-        let squared = |k: usize| self.axis.points_mm[k].distance_squared(point_mm);
-        let nearer = |best: usize, k: usize| if squared(k) < squared(best) { k } else { best };
-        let coarse = (first..=last).step_by(STRIDE).fold(last, nearer);
-        let near =
-            (coarse.saturating_sub(STRIDE).max(first)..=(coarse + STRIDE).min(last)).fold(coarse, nearer);
-        if squared(near) > self.reach_mm * self.reach_mm {
-            return None;
+        let mut nearest = None;
+        let mut least_mm2 = self.reach_mm * self.reach_mm;
+        for (stretch, (centre_mm, radius_mm)) in self.stretches.iter().enumerate() {
+            let beyond_mm = centre_mm.distance(point_mm) - radius_mm;
+            if beyond_mm > 0.0 && beyond_mm * beyond_mm > least_mm2 {
+                continue;
+            }
+            let start = stretch * STRETCH;
+            for k in start.max(first)..=(start + STRETCH - 1).min(last) {
+                let square_mm2 = self.axis.points_mm[k].distance_squared(point_mm);
+                if square_mm2 <= least_mm2 && nearest.is_none_or(|_| square_mm2 < least_mm2) {
+                    (nearest, least_mm2) = (Some(k), square_mm2);
+                }
+            }
         }
-        let place = self.axis.place(point_mm, near)?;
+        let place = self.axis.place(point_mm, nearest?)?;
         if place.ring < first as f64 || place.ring > last as f64 {
             return None;
         }

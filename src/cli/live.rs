@@ -1,12 +1,12 @@
 use super::messages::MessageArguments;
-use super::reconstruct::{print_engine, print_left_out};
+use super::reconstruct::{print_cleaning, print_engine, print_left_out};
 use super::settings::SettingsArguments;
 use super::space::SpaceArgument;
 use super::{Shown, interrupt, print_json, progress, refuse_inputs};
 use crate::engine::EngineDescription;
 use crate::openigtlink::{self, Counts, Server, SharedCounts};
 use crate::reconstruction::{Live, Work};
-use crate::recording::{Finding, LeftOut, Recording, Screening};
+use crate::recording::{Cleaning, Finding, LeftOut, Recording, Screening};
 use crate::settings::Settings;
 use crate::stream::{
     ArrivalsReport, End, Ended, Faults, Files, FrameLog, Outcome, PageServer, Percentiles, Queue, Recorded,
@@ -198,6 +198,9 @@ struct Summary<'a> {
     left_out: &'a [LeftOut],
     /// Frames at which the vessel began anew.
     restarts: &'a [usize],
+    /// What was done to the points of contours.
+    #[serde(flatten)]
+    cleaning: &'a Cleaning,
     /// What is suspicious about a recording as a whole.
     suspicions: Vec<Finding>,
     /// Frames outside of the vessel's lumen when they came.
@@ -483,6 +486,7 @@ impl Arguments {
             skipped_first,
             left_out: &outcome.left_out,
             restarts: &outcome.restarts,
+            cleaning: live.cleaning(),
             suspicions: suspicions.unwrap_or_default(),
             off_axis: outcome.off_axis,
             branches: live.branches(),
@@ -514,6 +518,7 @@ impl Summary<'_> {
             self.left_out.len(),
             self.off_axis
         );
+        print_cleaning(self.cleaning);
         print_left_out(self.left_out);
         if let Some(engine) = &self.engine {
             print_engine(engine, rayon::current_num_threads());
@@ -521,7 +526,7 @@ impl Summary<'_> {
         self.print_arrivals();
         for frame in self.restarts {
             println!(
-                "           the vessel began anew at frame {frame}: those before lie off the path of the others"
+                "           the vessel began anew at frame {frame}, without frames that are left out and points that are no wall"
             );
         }
         self.suspicions.iter().for_each(|finding| print!("{finding}"));

@@ -6,7 +6,7 @@ use crate::branching::{BranchesReport, CylinderBranchesReport, Dismissed, Mouth}
 use crate::cylinders::{CylindersReport, write_cylinders};
 use crate::engine::EngineDescription;
 use crate::reconstruction::{Lumen, LumenReport, Reconstructor, Summary};
-use crate::recording::{LeftOut, Recording, Screening};
+use crate::recording::{Cleaning, LeftOut, Recording, Screening};
 use crate::settings::{Method, Settings};
 use crate::surface::{self, Topology};
 use crate::sweep;
@@ -106,18 +106,7 @@ impl Arguments {
 
 /// What a screening found, for people.
 pub(super) fn print_screening(screening: &Screening) {
-    for no_echo in &screening.no_echo {
-        println!("no echo    {no_echo}");
-    }
-    if let Some(ring_down) = screening.ring_down {
-        println!("ring-down  {ring_down}");
-    }
-    if let Some(chords) = screening.chords {
-        println!("chords     {chords}");
-    }
-    if screening.sorted_frames > 0 {
-        println!("order      points of {} contours sorted about their centres", screening.sorted_frames);
-    }
+    print_cleaning(&screening.cleaning);
     let left_out = &screening.left_out;
     if !left_out.is_empty() {
         println!(
@@ -128,6 +117,13 @@ pub(super) fn print_screening(screening: &Screening) {
     }
     print_left_out(left_out);
     screening.suspicions.iter().for_each(|finding| print!("{finding}"));
+}
+
+/// What was done to the points of contours, for people.
+pub(super) fn print_cleaning(cleaning: &Cleaning) {
+    for (label, found) in cleaning.lines() {
+        println!("{label:<11}{found}");
+    }
 }
 
 /// The first ten of these frames, and why they are left out.

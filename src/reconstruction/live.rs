@@ -26,7 +26,7 @@ use super::{Lumen, Reconstructor};
 use crate::cylinders::live::{LiveCylinders, MAX_FRAMES_AT_REST, REST_MM};
 use crate::cylinders::{Engine, engine};
 use crate::engine::EngineDescription;
-use crate::recording::{Frame, Judged, LeftOut, LiveScreening, Reason, Recording};
+use crate::recording::{Cleaning, Frame, Judged, LeftOut, LiveScreening, Reason, Recording};
 use crate::settings::{Backend, Method, Settings, UnfitFrames};
 use crate::surface::Surface;
 use crate::sweep::{LiveSweep, Step};
@@ -38,8 +38,8 @@ use std::time::Instant;
 /// A vessel that grows frame by frame.
 ///
 /// With the method `cylinders` it is the vessel that [`CylinderReconstruction`](crate::cylinders::CylinderReconstruction) makes of
-/// the same frames, to the last bit, as long as the catheter has not rested for more than
-/// [`MAX_FRAMES_AT_REST`](Self::MAX_FRAMES_AT_REST) frames anywhere. With `sweep` it comes near to
+/// the same frames, to the last bit, as long as the same points of contours are taken for wall, and the catheter has not rested
+/// for more than [`MAX_FRAMES_AT_REST`](Self::MAX_FRAMES_AT_REST) frames anywhere. With `sweep` it comes near to
 /// [`Sweep::of`](crate::sweep::Sweep::of), which looks at all echoes at once.
 pub struct Live {
     pub(super) settings: Settings,
@@ -129,9 +129,11 @@ pub struct Change {
     /// Frames that were found unfit now, and why; a [`Screening`](crate::recording::Screening) says what for. Also frames of the
     /// published method whose cylinder was due and could not be fitted.
     pub left_out: Vec<LeftOut>,
-    /// Frames that jump off the path of the others and wait: later frames will tell whether the sensor was moved.
+    /// Frames that wait: they jump off the path of the others, and later ones will tell whether the sensor was moved; or it is
+    /// not their turn yet, since the vessel began anew.
     pub waiting: usize,
-    /// Whether the vessel began anew, because what was shown before came from frames that are left out now. All rings are new.
+    /// Whether the vessel began anew, because what was shown before came from frames that are left out now, or from
+    /// [points that are no wall](Live::cleaning). All rings are new; frames follow from the first on, some at a time.
     pub restarted: bool,
     /// How much was computed.
     pub work: Work,
@@ -250,7 +252,7 @@ impl Live {
     }
 
     /// Keeps all frames from now on, for [`finish`](Self::finish): 16 bytes for each point of a contour, and some 200 more for
-    /// each frame. Without this, memory grows with the vessel's length only.
+    /// each frame. Without this, the first 1024 are kept for a while, and memory grows with the vessel's length only.
     ///
     /// # Errors
     /// [`Error::Recording`] where frames have come already.
@@ -355,6 +357,12 @@ impl Live {
             Vessel::Cylinders(cylinders) => cylinders.fitted_by().cloned(),
             Vessel::Sweep(_) => Some(sweep_engine(&self.settings)),
         }
+    }
+
+    /// What was done to the points of contours so far. Later frames may show more of it, and the vessel then
+    /// [begins anew](Change::restarted).
+    pub fn cleaning(&self) -> &Cleaning {
+        self.screening.cleaning()
     }
 
     /// The settings that it was made with.

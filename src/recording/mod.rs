@@ -23,7 +23,7 @@ pub use formats::ndjson::{BadLine, FrameLines};
 pub use mask::{MaskContour, MaskFound, MaskOptions, Masks};
 pub use pullback::{Pullback, PullbackOptions, PullbackPath};
 pub use screening::{
-    Chords, FixedChord, LeftOut, NoEcho, Reason, RingDown, Screened, Screening, UnfitFrames,
+    Chords, Cleaning, FixedChord, LeftOut, NoEcho, Reason, RingDown, Screened, Screening, UnfitFrames,
 };
 pub(crate) use screening::{Judged, LiveScreening};
 pub use sequence::{

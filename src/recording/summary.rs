@@ -1,5 +1,5 @@
 use super::finding::{Finding, Findings};
-use super::screening::{Chords, NoEcho, Reason, RingDown, Screening};
+use super::screening::{Cleaning, Reason, Screening};
 use super::{Frame, Recording};
 use serde::Serialize;
 use std::fmt;
@@ -40,14 +40,9 @@ pub struct Summary {
     pub cylinder_radius_mm: Option<MinMedianMax>,
     /// Frames that a reconstruction leaves out.
     pub left_out: usize,
-    /// Values of contour points that a reconstruction takes for missing echoes.
-    pub no_echo: Vec<NoEcho>,
-    /// Echoes of the catheter itself, which it takes for missing ones.
-    pub ring_down: Option<RingDown>,
-    /// Straight lines across shadows, whose points it takes for missing echoes.
-    pub chords: Option<Chords>,
-    /// Frames whose contours have no order, whose points it sorts.
-    pub sorted_frames: usize,
+    /// What it does to the points of contours before.
+    #[serde(flatten)]
+    pub cleaning: Cleaning,
     /// Defects and what is suspicious, one entry per kind.
     pub defects: Vec<Finding>,
 }
@@ -118,10 +113,7 @@ impl Summary {
             ),
             defects,
             left_out: screening.left_out.len(),
-            no_echo: screening.no_echo,
-            ring_down: screening.ring_down,
-            chords: screening.chords,
-            sorted_frames: screening.sorted_frames,
+            cleaning: screening.cleaning,
         }
     }
 }
@@ -186,21 +178,8 @@ impl fmt::Display for Summary {
             write!(f, ", radius {radius:.3} mm")?;
         }
         writeln!(f)?;
-        for no_echo in &self.no_echo {
-            writeln!(f, "no echo         {no_echo}")?;
-        }
-        if let Some(ring_down) = self.ring_down {
-            writeln!(f, "ring-down       {ring_down}")?;
-        }
-        if let Some(chords) = self.chords {
-            writeln!(f, "chords          {chords}")?;
-        }
-        if self.sorted_frames > 0 {
-            writeln!(
-                f,
-                "order           {} contours without, to be sorted about their centres",
-                self.sorted_frames
-            )?;
+        for (label, found) in self.cleaning.lines() {
+            writeln!(f, "{label:<16}{found}")?;
         }
         if self.left_out > 0 {
             writeln!(f, "left out        {} frames, by a reconstruction", self.left_out)?;

@@ -172,17 +172,11 @@ fn summary(page: &mut Page, content: &PageContent) {
         ));
         page.table(&left_out_table(&screening.left_out));
     }
-    let has_artefacts = screening.ring_down.is_some() || screening.chords.is_some();
-    if !screening.suspicions.is_empty() || !screening.no_echo.is_empty() || has_artefacts {
+    let cleaned = screening.cleaning.lines();
+    if !screening.suspicions.is_empty() || !cleaned.is_empty() {
         page.heading("Suspicious");
-        for no_echo in &screening.no_echo {
-            page.paragraph(&format!("{no_echo}."));
-        }
-        if let Some(ring_down) = screening.ring_down {
-            page.paragraph(&format!("{ring_down}."));
-        }
-        if let Some(chords) = screening.chords {
-            page.paragraph(&format!("{chords}."));
+        for (_, found) in cleaned {
+            page.paragraph(&format!("{found}."));
         }
         for finding in &screening.suspicions {
             page.listing(&finding.to_string());

@@ -27,6 +27,8 @@ pub struct Topology {
     pub boundary_loops: usize,
     /// Edges of three triangles or more.
     pub non_manifold_edges: usize,
+    /// Nodes where parts of the surface touch in a point only: their triangles are not all connected by edges there.
+    pub non_manifold_nodes: usize,
     /// Edges of two triangles that both run along them the same way, so that their normals disagree.
     pub inconsistent_edges: usize,
     /// Triangles that name a node twice or have no area (below 1e-12 of their longest edge squared).
@@ -83,6 +85,10 @@ impl Surface {
                 _ => topology.non_manifold_edges += 1,
             }
         }
+        let mut fans = fans(&whole);
+        let is_split = |node: &&Vec<u32>| node.iter().any(|&corner| fans.root(corner) != fans.root(node[0]));
+        topology.non_manifold_nodes =
+            corners_of_nodes(self.nodes_mm.len(), &whole).iter().filter(is_split).count();
         topology.nodes = parts.members();
         topology.components = parts.count();
         topology.boundary_loops = openings.count();
@@ -114,6 +120,32 @@ impl Surface {
         let first = self.first_in_place();
         self.triangles.iter_mut().for_each(|t| *t = t.map(|node| first[node as usize]));
         self.triangles.retain(|&t| has_three_nodes(t));
+        self
+    }
+
+    /// The surface with a node for each of the parts that touch in one node only, with the same position and values. The first
+    /// part keeps the node, the others' are added behind all nodes.
+    #[must_use]
+    pub(crate) fn with_touching_parts_split(mut self) -> Self {
+        let mut fans = fans(&self.triangles);
+        for (node, corners) in corners_of_nodes(self.nodes_mm.len(), &self.triangles).iter().enumerate() {
+            let mut added: Vec<(u32, u32)> = Vec::new();
+            for &corner in corners {
+                let fan = fans.root(corner);
+                if fan == fans.root(corners[0]) {
+                    continue;
+                }
+                let known = added.iter().find(|(known, _)| *known == fan).map(|(_, copy)| *copy);
+                let copy = known.unwrap_or_else(|| {
+                    let copy = self.nodes_mm.len() as u32;
+                    self.nodes_mm.push(self.nodes_mm[node]);
+                    self.arrays.iter_mut().for_each(|array| array.values.push(array.values[node]));
+                    added.push((fan, copy));
+                    copy
+                });
+                self.triangles[corner as usize / 3][corner as usize % 3] = copy;
+            }
+        }
         self
     }
 
@@ -234,6 +266,33 @@ fn directed_edges(triangles: &[[u32; 3]]) -> Vec<DirectedEdge> {
     edges
 }
 
+/// The corners of triangles, corner k of triangle t being 3 t + k, in groups that edges of the surface connect about a node.
+fn fans(triangles: &[[u32; 3]]) -> Groups {
+    let edge = |from: usize, k: usize, [a, b]: [u32; 2]| {
+        let [p, q] = [k, (k + 1) % 3].map(|k| (3 * from + k) as u32);
+        if a < b { ([a, b], [p, q]) } else { ([b, a], [q, p]) }
+    };
+    let mut edges: Vec<([u32; 2], [u32; 2])> = triangles
+        .iter()
+        .enumerate()
+        .flat_map(|(t, &[a, b, c])| [edge(t, 0, [a, b]), edge(t, 1, [b, c]), edge(t, 2, [c, a])])
+        .collect();
+    edges.sort_unstable();
+    let mut fans = Groups::new(3 * triangles.len());
+    for pair in edges.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
+        fans.join(pair[0].1[0], pair[1].1[0]);
+        fans.join(pair[0].1[1], pair[1].1[1]);
+    }
+    fans
+}
+
+/// The corners at each node, in ascending order.
+fn corners_of_nodes(nodes: usize, triangles: &[[u32; 3]]) -> Vec<Vec<u32>> {
+    let mut of_nodes = vec![Vec::new(); nodes];
+    (0..).zip(triangles.iter().flatten()).for_each(|(corner, &node)| of_nodes[node as usize].push(corner));
+    of_nodes
+}
+
 /// Nodes joined into groups (union-find with path halving).
 pub(crate) struct Groups {
     parent: Vec<u32>,
@@ -269,5 +328,54 @@ impl Groups {
     fn count(&self) -> usize {
         let roots = self.parent.iter().enumerate().filter(|&(node, &parent)| node as u32 == parent);
         roots.filter(|&(node, _)| self.joined[node]).count()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn parts_that_touch_in_a_node_get_nodes_of_their_own() {
+        let corners = |n: u32| (0..n).map(|k| DVec3::new(f64::from(k), f64::from(k * k % 7), 0.0)).collect();
+        // Two fans about node 0, the second of them of two triangles.
+        let surface = Surface {
+            nodes_mm: corners(6),
+            triangles: vec![[0, 1, 2], [0, 3, 4], [0, 4, 5]],
+            arrays: Vec::new(),
+        };
+        let topology = surface.topology();
+        assert_eq!((topology.non_manifold_nodes, topology.components), (1, 1));
+        let split = surface.with_touching_parts_split();
+        assert_eq!(split.triangles, [[0, 1, 2], [6, 3, 4], [6, 4, 5]]);
+        let topology = split.topology();
+        assert_eq!((topology.non_manifold_nodes, topology.components), (0, 2));
+    }
+
+    #[test]
+    fn a_grid_with_holes_becomes_a_manifold_at_the_same_place() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(8);
+        let nodes_mm: Vec<DVec3> =
+            (0..400).map(|k| DVec3::new(f64::from(k % 20), f64::from(k / 20), 0.0)).collect();
+        let face = |k: u32| super::super::face_triangles(k, k + 1, k + 21, k + 20);
+        let mut triangles: Vec<[u32; 3]> = (0..380).filter(|k| k % 20 < 19).flat_map(face).collect();
+        triangles.retain(|_| rng.random::<f64>() < 0.6);
+        let mut surface = Surface { nodes_mm, triangles, arrays: Vec::new() };
+        surface.set_array("node", (0..400).map(f64::from).collect());
+        assert!(surface.topology().non_manifold_nodes > 20);
+        let split = surface.clone().with_touching_parts_split();
+        assert_eq!(split.topology().non_manifold_nodes, 0);
+        split.check().unwrap();
+        let places = |surface: &Surface| -> Vec<[f64; 3]> {
+            let node = surface.array("node").unwrap();
+            surface.triangles.iter().map(|t| t.map(|n| node[n as usize])).collect()
+        };
+        assert_eq!(places(&split), places(&surface));
+        assert_eq!(
+            (0..split.triangles.len()).map(|t| split.corners_mm(t)).collect::<Vec<_>>(),
+            (0..surface.triangles.len()).map(|t| surface.corners_mm(t)).collect::<Vec<_>>()
+        );
+        assert_eq!(split.clone().with_touching_parts_split(), split);
     }
 }

@@ -142,9 +142,13 @@ impl Sweep {
         estimating()?;
         let mut support = timed(&mut seconds.support, || Support::of(&prepared.grid, &echoes, &wall));
         let errors = timed(&mut seconds.errors, || {
-            errors::estimate(&prepared, &settings.sweep, &mut echoes, &mut wall, &support, &estimating)
+            let times_s: Vec<Option<f64>> = prepared.frames.iter().map(|frame| frame.time_s).collect();
+            let Prepared { grid, .. } = &prepared;
+            errors::estimate(grid, &times_s, &settings.sweep, &mut echoes, &mut wall, &support, &estimating)
         })?;
-        let tangential_noise_mm = prepared.tangential_noise_mm().min(wall.noise_mm);
+        // Shifts of whole frames lie along the wall, too.
+        let shift_mm = errors.as_ref().map_or(0.0, |(errors, _)| errors.shift_mm());
+        let tangential_noise_mm = prepared.tangential_noise_mm().min(wall.noise_mm).hypot(shift_mm);
         for radius in &mut wall.radii_mm {
             *radius -= outward_bias_mm(*radius, tangential_noise_mm);
         }

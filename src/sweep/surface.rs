@@ -22,7 +22,8 @@ pub(super) fn has_support(nodes: usize, rings: usize, support: &Support) -> bool
     triangles(nodes, rings).any(|triangle| is_supported(&triangle, 0, support))
 }
 
-/// Some rings of a wall as triangles, normals outward: the supported ones, or all with `keep_unsupported`. Arrays:
+/// Some rings of a wall as triangles, normals outward: the supported ones, which meet along edges and not in single nodes, or
+/// all with `keep_unsupported`, whose nodes are those of the grid in order. Arrays:
 /// `support` (echoes), `residual_mm`, `standard_error_mm`, `error_reach_mm`, `frame` (the last one), `supported` (1 or 0).
 pub(super) fn surface(
     axis: &Axis,
@@ -59,5 +60,5 @@ pub(super) fn surface(
     array("error_reach_mm", &|n| error_reach_mm[n]);
     array("frame", &|n| last_frame[n].map_or(f64::NAN, f64::from));
     array("supported", &|n| f64::from(u8::from(supported[n - first])));
-    surface
+    if keep_unsupported { surface } else { surface.with_touching_parts_split() }
 }

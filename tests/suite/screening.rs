@@ -3,9 +3,10 @@
 use glam::{DMat3, DVec2, DVec3};
 use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::geometry::Pose;
-use lumenmesh::reconstruction::{Live, Reconstructor};
+use lumenmesh::reconstruction::{Change, Live, Reconstructor};
 use lumenmesh::recording::{
-    Conventions, Frame, LeftOut, LengthUnit, QuaternionOrder, Reason, Recording, Screening, TimeUnit,
+    Cleaning, Conventions, Frame, LeftOut, LengthUnit, QuaternionOrder, Reason, Recording, Screening,
+    TimeUnit,
 };
 use lumenmesh::settings::{Method, Settings, UnfitFrames};
 use lumenmesh::simulate::{Insertion, Phantom, Shape, Simulation, SimulationSettings};
@@ -187,7 +188,10 @@ fn reasons(recording: &Recording) -> Vec<(usize, Reason)> {
 #[test]
 fn a_clean_recording_has_nothing_to_say() {
     let screening = Screening::of(&bent());
-    assert_eq!((screening.left_out.len(), screening.no_echo.len(), screening.suspicions.len()), (0, 0, 0));
+    assert_eq!(
+        (screening.left_out.len(), screening.cleaning.no_echo.len(), screening.suspicions.len()),
+        (0, 0, 0)
+    );
     // One wall for all frames, as in somebody's first recording.
     let mut same = bent();
     let contour = same.frames[0].contour_mm.clone();
@@ -212,7 +216,7 @@ fn values_that_stand_for_no_echo_are_no_wall() {
         }
         let screening = Screening::of(&recording);
         let expected = value.is_finite().then(|| value.to_array());
-        let found: Vec<_> = screening.no_echo.iter().map(|one| (one.value_mm, one.points)).collect();
+        let found: Vec<_> = screening.cleaning.no_echo.iter().map(|one| (one.value_mm, one.points)).collect();
         assert_eq!(found, [(expected, 8 * 120)]);
         assert!(screening.left_out.is_empty(), "{value}: {:?}", screening.left_out[0]);
         let applied = screening.apply(&recording).unwrap();
@@ -232,7 +236,7 @@ fn values_that_stand_for_no_echo_are_no_wall() {
             frame.contour_mm[j] = frame.contour_mm[j / 4 * 4];
         }
     }
-    assert!(Screening::of(&resampled).no_echo.is_empty());
+    assert!(Screening::of(&resampled).cleaning.no_echo.is_empty());
 }
 
 /// Farthest distance of a mesh's nodes from the wall that `bent` shows, mm.
@@ -261,6 +265,48 @@ fn wrong_contours_are_left_out() {
     let mut wide = bent();
     wide.frames[60..].iter_mut().flat_map(|f| &mut f.contour_mm).for_each(|p| *p *= 2.0);
     assert_eq!(reasons(&wide), []);
+}
+
+#[test]
+fn a_shape_that_another_pass_saw_at_the_same_place_is_anatomy() {
+    let forth = bent().frames;
+    let and_back = |wide: &[std::ops::Range<usize>]| {
+        let mut frames: Vec<Frame> = forth.iter().chain(forth.iter().rev()).cloned().collect();
+        let wide = wide.iter().cloned().flatten();
+        wide.for_each(|k| frames[k].contour_mm.iter_mut().for_each(|p| *p *= 1.6));
+        Recording { frames }
+    };
+    let reasons = |wide: &[std::ops::Range<usize>]| reasons(&and_back(wide));
+    // Frame k of the way forth is frame 239 - k of the way back.
+    assert_eq!(reasons(&[30..37, 203..210]), []);
+    // Seen by one pass and not by the other, at two places: a wrong segmentation.
+    let left_out = |frames: std::ops::Range<usize>| frames.map(|k| (k, Reason::OffShape)).collect::<Vec<_>>();
+    assert_eq!(reasons(&[30..37]), left_out(30..37));
+    assert_eq!(reasons(&[20..27, 180..187]), [left_out(20..27), left_out(180..187)].concat());
+    // No other pass, only a rest in which the segmentation fails twice.
+    let mut rest = bent().frames;
+    rest.splice(60..60, std::iter::repeat_n(rest[60].clone(), 300));
+    for k in (100..106).chain(250..256) {
+        rest[k].contour_mm.iter_mut().for_each(|p| *p *= 1.6);
+    }
+    let found = self::reasons(&Recording { frames: rest });
+    assert_eq!(found, [left_out(100..106), left_out(250..256)].concat());
+}
+
+#[test]
+fn contours_that_jump_beside_a_run_do_not_take_it_with_them() {
+    let mut recording = bent();
+    let mut scale = |frames: std::ops::Range<usize>, by: f64| {
+        recording.frames[frames].iter_mut().flat_map(|f| &mut f.contour_mm).for_each(|p| *p *= by);
+    };
+    // 10 % too large is no jump from the frame before, but one to those after, which are 3 % too small.
+    scale(59..60, 1.1);
+    scale(60..76, 0.97);
+    scale(76..77, 1.1);
+    assert_eq!(reasons(&recording), []);
+    // A run that is off from all beside it stays off.
+    recording.frames[60..76].iter_mut().flat_map(|f| &mut f.contour_mm).for_each(|p| *p *= 0.8);
+    assert_eq!(reasons(&recording).len(), 16);
 }
 
 #[test]
@@ -528,11 +574,11 @@ fn with_ring_down(mut recording: Recording, radius_mm: f64, turn_rad: f64) -> Re
 #[test]
 fn echoes_of_the_catheter_are_no_wall() {
     let recording = noisy_tube();
-    assert_eq!(Screening::of(&recording).ring_down, None);
+    assert_eq!(Screening::of(&recording).cleaning.ring_down, None);
     for turn_rad in [0.0, 0.02, 1.0] {
         let with_ring = with_ring_down(recording.clone(), 2.5, turn_rad);
         let screening = Screening::of(&with_ring);
-        let ring_down = screening.ring_down.unwrap();
+        let ring_down = screening.cleaning.ring_down.unwrap();
         assert!((ring_down.radius_mm - 2.5).abs() < 0.05, "{ring_down}");
         assert_eq!(ring_down.frames, recording.frames.len());
         let screened = screening.apply(&with_ring).unwrap();
@@ -547,7 +593,7 @@ fn echoes_of_the_catheter_are_no_wall() {
 #[test]
 fn lines_drawn_across_a_shadow_are_no_wall() {
     let recording = noisy_tube();
-    assert_eq!(Screening::of(&recording).chords, None);
+    assert_eq!(Screening::of(&recording).cleaning.chords, None);
     let drawn = |first: usize| {
         let mut drawn = recording.clone();
         for frame in &mut drawn.frames {
@@ -563,7 +609,7 @@ fn lines_drawn_across_a_shadow_are_no_wall() {
     for first in [0, 40] {
         let drawn = drawn(first);
         let screening = Screening::of(&drawn);
-        let chords = screening.chords.unwrap();
+        let chords = screening.cleaning.chords.unwrap();
         // Now and then an echo at an end lies on the line by chance, or hides it.
         let frames = drawn.frames.len();
         assert!((14 * frames..16 * frames).contains(&chords.points), "{chords}");
@@ -577,7 +623,84 @@ fn lines_drawn_across_a_shadow_are_no_wall() {
         assert!(100 * found >= 99 * frames, "{found} of {frames}");
     }
     // Kept where the settings keep all frames as they are.
-    assert_eq!(Screening::none(&drawn(0)).chords, None);
+    assert_eq!(Screening::none(&drawn(0)).cleaning.chords, None);
+}
+
+/// A quarter of the points at one value, as programs fill in what is missing.
+fn with_filler(mut recording: Recording) -> Recording {
+    for frame in &mut recording.frames {
+        frame.contour_mm.iter_mut().take(22).for_each(|p| *p = DVec2::new(1.5, -0.5));
+    }
+    recording
+}
+
+#[test]
+fn what_is_no_wall_is_removed_live_too() {
+    let shape = Shape::Cylinder { radius_mm: 8.0, length_mm: 60.0 };
+    let vessel = Phantom::from(shape).vessel().unwrap();
+    let truth = Truth::new(vessel.surface().clone()).unwrap();
+    let recording = noisy_tube();
+    let off_mm = |surface: &Surface| evaluate(surface, &truth).unwrap().mesh_to_truth.mean_mm;
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("live.state");
+    // The live vessel, and the frames at which it began anew.
+    let pushed = |recording: &Recording, settings: &Settings| {
+        let mut live = Live::new(settings).unwrap();
+        let mut changes: Vec<Change> = Vec::new();
+        for (k, frame) in recording.frames.iter().enumerate() {
+            changes.push(live.push(frame).unwrap());
+            if k == 16 {
+                live.snapshot(&state).unwrap();
+            }
+        }
+        // A run that goes on from a file, where frames still wait for their turn, goes on alike.
+        let mut resumed = Live::restore(&state).unwrap();
+        for (frame, change) in recording.frames.iter().zip(&changes).skip(17) {
+            assert_eq!(resumed.push(frame).unwrap(), *change);
+        }
+        live.flush().unwrap();
+        let again: Vec<usize> = changes.iter().filter(|c| c.restarted).map(|c| c.frame).collect();
+        (live, again)
+    };
+    let (clean, again) = pushed(&recording, &Settings::default());
+    assert_eq!((again, clean.cleaning()), (vec![], &Cleaning::default()));
+    let keep = Settings::default().with_unfit_frames(UnfitFrames::Keep);
+    let given = [
+        with_ring_down(recording.clone(), 2.5, 0.0),
+        with_ring_down(recording.clone(), 2.5, 0.1),
+        with_filler(recording.clone()),
+    ];
+    for given in given {
+        let (live, again) = pushed(&given, &Settings::default());
+        // At the first look, 16 frames after the recording began.
+        assert_eq!(again, [15], "{:?}", live.cleaning());
+        let (found, of_batch) = (live.cleaning(), Screening::of(&given).cleaning);
+        assert_eq!(found.no_echo, of_batch.no_echo);
+        let radii_mm = [found, &of_batch].map(|found| found.ring_down.map(|ring_down| ring_down.radius_mm));
+        assert!(radii_mm[0].zip(radii_mm[1]).is_none_or(|(a, b)| (a - b).abs() < 0.02), "{radii_mm:?}");
+        assert_eq!(radii_mm[0].is_some(), radii_mm[1].is_some());
+        let error_mm = off_mm(&live.surface());
+        let batch_mm = off_mm(&Reconstructor::new(Settings::default()).run(&given).unwrap().surface());
+        assert!(error_mm < 1.2 * batch_mm, "{error_mm} mm, {batch_mm} of the whole recording");
+        // What would be without.
+        let kept_mm = off_mm(&pushed(&given, &keep).0.surface());
+        assert!(kept_mm > 2.0 * batch_mm, "{kept_mm} mm kept, {batch_mm} of the whole recording");
+    }
+}
+
+#[test]
+fn frames_are_named_once_where_the_vessel_begins_anew() {
+    let mut given = with_ring_down(noisy_tube(), 2.5, 0.0);
+    given.frames[5].world_from_sensor.translation_mm = DVec3::NAN;
+    given.frames[12].world_from_sensor.translation_mm.x += 100.0;
+    let mut live = Live::new(&Settings::default()).unwrap();
+    let changes: Vec<_> = given.frames.iter().map(|frame| live.push(frame).unwrap()).collect();
+    let named: Vec<usize> = changes.iter().flat_map(|c| &c.left_out).map(|one| one.frame).collect();
+    assert_eq!(named, [5, 12]);
+    assert!(changes[15].restarted && changes[15].waiting == 12 && changes[14].waiting == 0);
+    // Three more than come have their turn with each frame.
+    assert_eq!(changes.iter().position(|c| c.frame > 15 && c.waiting == 0), Some(19));
+    assert_eq!(changes.last().unwrap().rings, live.rings());
 }
 
 #[test]
@@ -589,13 +712,13 @@ fn a_wall_at_one_distance_is_no_ring_down() {
             *p = p.normalize() * if (20..30).contains(&ray) { 14.0 } else { 8.0 };
         }
     }
-    assert_eq!(Screening::of(&recording).ring_down, None);
+    assert_eq!(Screening::of(&recording).cleaning.ring_down, None);
 }
 
 #[test]
 fn points_without_an_order_are_sorted() {
     let recording = noisy_tube();
-    assert_eq!(Screening::of(&recording).sorted_frames, 0);
+    assert_eq!(Screening::of(&recording).cleaning.sorted_frames, 0);
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let mut shuffled = recording.clone();
     for frame in &mut shuffled.frames {
@@ -603,7 +726,7 @@ fn points_without_an_order_are_sorted() {
         (1..contour_mm.len()).for_each(|i| contour_mm.swap(i, rng.random_range(0..=i)));
     }
     let screening = Screening::of(&shuffled);
-    assert_eq!(screening.sorted_frames, recording.frames.len());
+    assert_eq!(screening.cleaning.sorted_frames, recording.frames.len());
     let sorted = screening.apply(&shuffled).unwrap();
     let mesh =
         |recording: &Recording| Reconstructor::new(Settings::default()).run(recording).unwrap().surface();
@@ -615,5 +738,5 @@ fn points_without_an_order_are_sorted() {
     for frame in &mut shuffled.frames {
         frame.contour_mm.sort_by(|a, b| a.y.total_cmp(&b.y));
     }
-    assert_eq!(Screening::of(&shuffled).sorted_frames, recording.frames.len());
+    assert_eq!(Screening::of(&shuffled).cleaning.sorted_frames, recording.frames.len());
 }

@@ -3,6 +3,7 @@
 use crate::numerics::robust::{SD_PER_MAD, median};
 use crate::recording::Frame;
 use glam::DVec2;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -40,7 +41,7 @@ const NEAREST_MM: f64 = 0.01;
 const BINS: usize = 800;
 /// Share of all points in the peak at least, before it at most, and beyond it at least: ring-down lies within the lumen.
 const MIN_IN: f64 = 0.03;
-const MAX_NEARER: f64 = 0.02;
+const MAX_NEARER: f64 = 0.2;
 const MIN_BEYOND: f64 = 0.4;
 /// The peak has so many times the points of the equally wide bands on either side.
 const MIN_CONTRAST: f64 = 4.0;
@@ -125,20 +126,12 @@ impl RingDown {
         let radius_mm = median(&mut of_peak);
         let mut deviations: Vec<f64> = of_peak.iter().map(|d| (d - radius_mm).abs()).collect();
         let tolerance_mm = (TOLERANCE_SDS * SD_PER_MAD * median(&mut deviations)).max(1e-3 * radius_mm);
-        let mut found = Self { radius_mm, tolerance_mm, points: 0, frames: 0 };
         let is_stepped =
             |arc: &Arc| arc.span_rad >= MIN_ARC_RAD && arc.steps.iter().all(|step| *step >= MIN_STEP);
         let stepped =
-            frames.iter().filter(|frame| arcs(frame, radius_mm, tolerance_mm).iter().any(is_stepped));
-        if (stepped.count() as f64) < MIN_FRAMES * frames.len() as f64 {
-            return None;
-        }
-        for frame in frames {
-            let points = found.places(frame).len();
-            found.points += points;
-            found.frames += usize::from(points > 0);
-        }
-        Some(found)
+            frames.par_iter().filter(|frame| arcs(frame, radius_mm, tolerance_mm).iter().any(is_stepped));
+        let is_usual = stepped.count() as f64 >= MIN_FRAMES * frames.len() as f64;
+        is_usual.then_some(Self { radius_mm, tolerance_mm, points: 0, frames: 0 })
     }
 
     /// The places of a contour's points that are ring-down: an arc, or what noise has cut off from it, with the wall beyond

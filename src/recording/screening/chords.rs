@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// Points on straight lines across shadows, which are drawn and not measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Chords {
     /// Points that are taken for missing echoes: those between the ends of the lines.
@@ -68,17 +68,11 @@ const MIN_ALIKE: f64 = 0.9;
 const MAX_COMPARED: usize = 128;
 
 impl Chords {
-    /// The chords of a recording, if it has any.
-    pub(super) fn of(frames: &[Frame]) -> Option<Self> {
+    /// The chord at one place of the image that a recording has, if any. Others are found contour by contour.
+    pub(super) fn fixed_in(frames: &[Frame]) -> Option<Self> {
         let exact = frames.iter().filter(|frame| !straight(frame).is_empty()).count();
         let fixed = if 2 * exact > frames.len() { None } else { fixed(frames) };
-        let mut found = Self { points: 0, frames: 0, fixed };
-        for frame in frames {
-            let points = found.places(frame).len();
-            found.points += points;
-            found.frames += usize::from(points > 0);
-        }
-        (found.points > 0).then_some(found)
+        fixed.map(|fixed| Self { fixed: Some(fixed), ..Self::default() })
     }
 
     /// The places of a contour's points on chords, without the ends of these.
@@ -278,24 +272,25 @@ mod tests {
     #[test]
     fn a_fixed_chord_is_found_under_noise() {
         for first in [20, 65] {
-            let chords = Chords::of(&noisy(|_, j| behind_shadow(first, j))).unwrap();
+            let chords = Chords::fixed_in(&noisy(|_, j| behind_shadow(first, j))).unwrap();
             let fixed = chords.fixed.unwrap();
             assert!(fixed.points.abs_diff(12) <= 2 && (fixed.first + 72 - first) % 72 <= 2, "{fixed:?}");
-            assert_eq!(chords.points, 240 * fixed.points);
+            let frame = &noisy(|_, j| behind_shadow(first, j))[7];
+            assert_eq!(chords.places(frame).len(), fixed.points);
         }
     }
 
     #[test]
     fn circles_flat_stretches_and_slits_have_no_fixed_chord() {
-        assert_eq!(Chords::of(&noisy(|_, j| on_circle(j))), None);
+        assert_eq!(Chords::fixed_in(&noisy(|_, j| on_circle(j))), None);
         // Flat in half of the frames.
         let stretch = |k: usize, j: usize| if k < 120 { behind_shadow(20, j) } else { on_circle(j) };
-        assert_eq!(Chords::of(&noisy(stretch)), None);
+        assert_eq!(Chords::fixed_in(&noisy(stretch)), None);
         let slit = |_: usize, j: usize| {
             let p = on_circle(j);
             DVec2::new(2.0 * p.x, p.y.clamp(-1.5, 1.5))
         };
-        assert_eq!(Chords::of(&noisy(slit)), None);
-        assert_eq!(Chords::of(&noisy(|_, j| DVec2::new(2.0, 0.7) * on_circle(j))), None);
+        assert_eq!(Chords::fixed_in(&noisy(slit)), None);
+        assert_eq!(Chords::fixed_in(&noisy(|_, j| DVec2::new(2.0, 0.7) * on_circle(j))), None);
     }
 }

@@ -5,6 +5,7 @@ use crate::numerics::robust::median;
 use crate::recording::finding::{Finding, Findings};
 use crate::recording::{Conventions, Frame, QuaternionOrder};
 use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
 
 /// Contours are suspected of another origin where more than this share of them does not contain the probe.
@@ -62,9 +63,11 @@ pub(super) fn convention(frames: &[&Frame]) -> Option<Finding> {
             "--quaternion wxyz --inverse",
         ),
     ];
-    let radii = frames.iter().filter_map(|frame| Profile::of(frame)).map(|profile| profile.radius_mm);
-    let radius_mm = median(&mut radii.collect::<Vec<_>>());
-    let pairs = pairs(frames, radius_mm);
+    let radius = |(k, frame): (usize, &&Frame)| Some((k, Profile::of(frame)?.radius_mm));
+    let (usable, mut radii): (Vec<usize>, Vec<f64>) =
+        frames.par_iter().enumerate().filter_map(radius).unzip();
+    let radius_mm = median(&mut radii);
+    let pairs = pairs(frames, &usable, radius_mm);
     if pairs.len() < MIN_PAIRS {
         return None;
     }
@@ -72,7 +75,7 @@ pub(super) fn convention(frames: &[&Frame]) -> Option<Finding> {
         let difference = |&(a, b): &(usize, usize)| {
             difference(&conventions.apply_to(frames[a]), &conventions.apply_to(frames[b]), radius_mm)
         };
-        pairs.iter().map(difference).collect()
+        pairs.par_iter().map(difference).collect()
     };
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let as_read = differences(&here);
@@ -102,9 +105,8 @@ pub(super) fn convention(frames: &[&Frame]) -> Option<Finding> {
     findings.list.pop()
 }
 
-/// Pairs of frames that lie about [`PAIR_RADII`] radii apart, spread over the recording.
-fn pairs(frames: &[&Frame], radius_mm: f64) -> Vec<(usize, usize)> {
-    let usable: Vec<usize> = (0..frames.len()).filter(|&k| Profile::of(frames[k]).is_some()).collect();
+/// Pairs of usable frames that lie about [`PAIR_RADII`] radii apart, spread over the recording.
+fn pairs(frames: &[&Frame], usable: &[usize], radius_mm: f64) -> Vec<(usize, usize)> {
     let position = |i: usize| frames[usable[i]].world_from_sensor.translation_mm;
     let apart_mm = PAIR_RADII * radius_mm;
     let mut pairs = Vec::new();

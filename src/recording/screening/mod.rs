@@ -2,6 +2,7 @@
 
 mod artefacts;
 mod chords;
+mod cleaning;
 mod hints;
 mod live;
 mod no_echo;
@@ -12,15 +13,16 @@ mod suspicions;
 
 pub use artefacts::RingDown;
 pub use chords::{Chords, FixedChord};
+pub use cleaning::Cleaning;
 pub(crate) use live::{Judged, LiveScreening};
 pub use no_echo::NoEcho;
 
 use super::finding::Finding;
-use super::{Conventions, Frame, Recording};
+use super::{Conventions, Recording};
 use crate::geometry::Pose;
 use crate::{Error, Result};
-use glam::DVec2;
 use path::Place;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
@@ -45,7 +47,8 @@ pub enum UnfitFrames {
 /// follows the wrong border. A frame is left out for one of these [reasons](Reason). Those that lie off the path of the
 /// others are found by dynamic programming: the path is the sequence of frames that maximises the number of its frames
 /// less a price for each of its jumps, a step that is longer than the usual ones explain. So a lost frame or a short run
-/// of them is left out, wherever it stands, whereas a sensor that is moved elsewhere and stays there is not.
+/// of them is left out, wherever it stands, whereas a sensor that is moved elsewhere and stays there is not, and neither is a
+/// shape that other passes of the catheter saw at the same place.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Screening {
@@ -53,14 +56,9 @@ pub struct Screening {
     pub frames: usize,
     /// The frames that are left out, in their order.
     pub left_out: Vec<LeftOut>,
-    /// Values of contour points that are taken for missing echoes.
-    pub no_echo: Vec<NoEcho>,
-    /// Frames whose contours had no order: their points were sorted about their centre.
-    pub sorted_frames: usize,
-    /// Echoes of the catheter itself, which are taken for missing ones.
-    pub ring_down: Option<RingDown>,
-    /// Straight lines across shadows, whose points are taken for missing echoes.
-    pub chords: Option<Chords>,
+    /// What is done to the points of contours before.
+    #[serde(flatten)]
+    pub cleaning: Cleaning,
     /// What may be wrong with the recording as a whole, or with frames that are used all the same.
     pub suspicions: Vec<Finding>,
 }
@@ -182,23 +180,14 @@ impl Screening {
         Self {
             frames: recording.frames.len(),
             left_out: Vec::new(),
-            no_echo: Vec::new(),
-            sorted_frames: 0,
-            ring_down: None,
-            chords: None,
-            suspicions: suspicions::suspicions(recording, &[]),
+            cleaning: Cleaning::default(),
+            suspicions: suspicions::suspicions(recording, &recording.frames, &[]),
         }
     }
 
     /// Screens a recording.
     pub fn of(recording: &Recording) -> Self {
-        let no_echo = no_echo::no_echo(recording);
-        let (recording, sorted_frames) = with_order(without_no_echo(recording, &no_echo));
-        let ring_down = RingDown::of(&recording.frames);
-        let recording = without_ring_down(recording, ring_down);
-        let chords = Chords::of(&recording.frames);
-        let recording = &*without_chords(recording, chords);
-        let frames = &recording.frames;
+        let (cleaning, frames) = Cleaning::of(&recording.frames);
         let mut left_out = Vec::new();
         let mut sound = Vec::with_capacity(frames.len());
         for (k, frame) in frames.iter().enumerate() {
@@ -214,7 +203,7 @@ impl Screening {
                 }),
             }
         }
-        let mut places: Vec<Place> = sound.iter().map(|&k| Place::of(&frames[k])).collect();
+        let mut places: Vec<Place> = sound.par_iter().map(|&k| Place::of(&frames[k])).collect();
         let mut leave = |found: Vec<LeftOut>, sound: &mut Vec<usize>, places: &mut Vec<Place>| {
             let is_left = |k: &usize| found.binary_search_by_key(k, |one| one.place).is_ok();
             let mut kept = sound.iter().map(|k| !is_left(k));
@@ -223,13 +212,13 @@ impl Screening {
             left_out.extend(found);
         };
         leave(path::lost(&sound, &places), &mut sound, &mut places);
-        leave(repeats::repeats(frames, &sound), &mut sound, &mut places);
-        leave(probe::outside(frames, &sound), &mut sound, &mut places);
+        leave(repeats::repeats(&frames, &sound), &mut sound, &mut places);
+        leave(probe::outside(&frames, &sound), &mut sound, &mut places);
         leave(path::off_the_path(&sound, &places), &mut sound, &mut places);
         left_out.sort_by_key(|one| one.place);
-        let suspicions = suspicions::suspicions(recording, &left_out);
+        let suspicions = suspicions::suspicions(recording, &frames, &left_out);
         left_out.iter_mut().for_each(|one| one.name(recording));
-        Self { frames: frames.len(), left_out, no_echo, sorted_frames, ring_down, chords, suspicions }
+        Self { frames: frames.len(), left_out, cleaning, suspicions }
     }
 
     /// The recording with the contours of the frames that are left out emptied, and with their poses taken from the
@@ -250,11 +239,10 @@ impl Screening {
                 expected,
             });
         }
-        let mut recording = without_no_echo(recording, &self.no_echo);
-        if self.sorted_frames > 0 {
-            recording = with_order(recording).0;
-        }
-        let recording = without_chords(without_ring_down(recording, self.ring_down), self.chords);
+        let recording = match self.cleaning.clone().add(&recording.frames) {
+            Cow::Borrowed(_) => Cow::Borrowed(recording),
+            Cow::Owned(frames) => Cow::Owned(Recording { frames }),
+        };
         if self.left_out.is_empty() {
             return Ok(recording);
         }
@@ -300,62 +288,4 @@ fn nearest_kept(is_kept: &[bool]) -> Vec<Option<usize>> {
         }
     }
     nearest
-}
-
-/// The recording with the points of contours without an order sorted, and the number of these contours.
-fn with_order(recording: Cow<'_, Recording>) -> (Cow<'_, Recording>, usize) {
-    let sorted: Vec<Option<Vec<DVec2>>> = recording.frames.iter().map(artefacts::sorted).collect();
-    let count = sorted.iter().flatten().count();
-    if count == 0 {
-        return (recording, 0);
-    }
-    let mut recording = recording.into_owned();
-    for (frame, contour_mm) in recording.frames.iter_mut().zip(sorted) {
-        frame.contour_mm = contour_mm.unwrap_or_else(|| std::mem::take(&mut frame.contour_mm));
-    }
-    (Cow::Owned(recording), count)
-}
-
-/// The recording with NaN for the echoes of the catheter itself.
-fn without_ring_down(recording: Cow<'_, Recording>, ring_down: Option<RingDown>) -> Cow<'_, Recording> {
-    match ring_down {
-        None => recording,
-        Some(ring_down) => without_places(recording, |frame| ring_down.places(frame)),
-    }
-}
-
-/// The recording with NaN for the points of straight lines across shadows.
-fn without_chords(recording: Cow<'_, Recording>, chords: Option<Chords>) -> Cow<'_, Recording> {
-    match chords {
-        None => recording,
-        Some(chords) => without_places(recording, |frame| chords.places(frame)),
-    }
-}
-
-/// The recording with NaN at some places of its contours.
-fn without_places(
-    recording: Cow<'_, Recording>,
-    places: impl Fn(&Frame) -> Vec<usize>,
-) -> Cow<'_, Recording> {
-    let mut recording = recording.into_owned();
-    for frame in &mut recording.frames {
-        for place in places(frame) {
-            frame.contour_mm[place] = DVec2::NAN;
-        }
-    }
-    Cow::Owned(recording)
-}
-
-/// The recording with NaN for the points that stand for a missing echo.
-fn without_no_echo<'a>(recording: &'a Recording, no_echo: &[NoEcho]) -> Cow<'a, Recording> {
-    if no_echo.is_empty() {
-        return Cow::Borrowed(recording);
-    }
-    let mut recording = recording.clone();
-    for p in recording.frames.iter_mut().flat_map(|frame| &mut frame.contour_mm) {
-        if no_echo::is_no_echo(no_echo, *p) {
-            *p = DVec2::NAN;
-        }
-    }
-    Cow::Owned(recording)
 }

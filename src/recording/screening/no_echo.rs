@@ -1,6 +1,6 @@
 //! Values that stand for "no echo" in contours.
 
-use crate::recording::{Frame, Recording};
+use crate::recording::Frame;
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -96,10 +96,10 @@ impl Counts {
     }
 }
 
-/// The values that stand for "no echo" in a recording, with how often they occur.
-pub(super) fn no_echo(recording: &Recording) -> Vec<NoEcho> {
+/// The values that stand for "no echo" in the frames of a recording, with how often they occur.
+pub(super) fn no_echo(frames: &[Frame]) -> Vec<NoEcho> {
     let mut counts = Counts::default();
-    recording.frames.iter().for_each(|frame| counts.add(frame));
+    frames.iter().for_each(|frame| counts.add(frame));
     counts.found()
 }
 

@@ -6,6 +6,7 @@ use crate::numerics::robust::median;
 use crate::recording::Frame;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Steps that are longer than these are jumps.
 ///
@@ -42,6 +43,10 @@ const USUAL_QUANTILE: f64 = 0.7;
 /// … where a frame's step is the shortest to so many frames after it. The frames before a single one that is off then have
 /// a step past it, so that [`Screening::MAX_SHARE`](super::Screening::MAX_SHARE) of the frames may be off, scattered or not.
 const STEPS_AHEAD: usize = 3;
+/// The shape does not jump between two runs where the mean shapes of so many frames at their ends differ by less than this share
+/// of a jump.
+const AVERAGED: usize = 5;
+const AVERAGE_SHARE: f64 = 0.5;
 /// The price of a jump of the pose, in frames: runs at the ends of a recording that are shorter, and runs within it that
 /// are shorter than twice that, are left out …
 pub(super) const JUMP_PRICE: f64 = 40.0;
@@ -51,6 +56,10 @@ const SHAPE_JUMP_PRICE: f64 = 12.0;
 const JUMP_PRICE_SHARE: f64 = 0.25;
 /// With fewer frames nothing tells a jump from a step.
 const MIN_FRAMES: usize = 5;
+/// Other passes confirm a shape where so many times as many saw it as saw another.
+const LEAST_ALIKE: usize = 3;
+/// Frames near a place are of different passes of the catheter where so many others lie between them.
+const PASS_GAP: usize = 80;
 /// Runs that a path may pass over at a time.
 const MAX_RUNS_BACK: usize = 512;
 
@@ -86,8 +95,19 @@ impl Place {
 
     pub fn shape_step(&self, other: &Self) -> Option<f64> {
         let (a, b) = self.shape.as_ref().zip(other.shape.as_ref())?;
-        Some(median(&mut a.iter().zip(b).map(|(a, b)| (a - b).abs()).collect::<Vec<_>>()))
+        Some(shape_step(a, b))
     }
+}
+
+fn shape_step(a: &[f64; 8], b: &[f64; 8]) -> f64 {
+    median(&mut a.iter().zip(b).map(|(a, b)| (a - b).abs()).collect::<Vec<_>>())
+}
+
+/// The mean shape of some frames, of those that have one.
+fn mean_shape(places: &[Place]) -> Option<[f64; 8]> {
+    let shapes: Vec<&[f64; 8]> = places.iter().filter_map(|place| place.shape.as_ref()).collect();
+    let mean = |i: usize| shapes.iter().map(|shape| shape[i]).sum::<f64>() / shapes.len() as f64;
+    (!shapes.is_empty()).then(|| std::array::from_fn(mean))
 }
 
 /// The way of a contour's points between two poses, mm: at most the shift, and the turn at the contour's radius.
@@ -238,12 +258,21 @@ pub(super) fn off_the_path(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> 
     if runs.len() < 2 {
         return Vec::new();
     }
+    // A single noisy contour may stand at the end of a run: then shapes hardly differ on average.
+    let between = |a: &Run, b: &Run| {
+        let last = || mean_shape(&places[a.first.max((a.last + 1).saturating_sub(AVERAGED))..=a.last]);
+        let first = || mean_shape(&places[b.first..=b.last.min(b.first + AVERAGED - 1)]);
+        let goes_on = || {
+            last().zip(first()).is_some_and(|(a, b)| shape_step(&a, &b) <= AVERAGE_SHARE * limits.jump_shape)
+        };
+        jump(a.last, b.first).filter(|kind| *kind == Jump::Pose || !goes_on())
+    };
     // The best path that ends with each run: its worth, and the run before.
     let mut best: Vec<(f64, Option<usize>)> = Vec::with_capacity(runs.len());
     for (b, run) in runs.iter().enumerate() {
         let mut before = (0.0, None);
         for a in (0..b).rev().take(MAX_RUNS_BACK) {
-            let price = jump(runs[a].last, run.first).map_or(0.0, |jump| jump.price(places.len()));
+            let price = between(&runs[a], run).map_or(0.0, |jump| jump.price(places.len()));
             let worth = best[a].0 - price;
             if worth > before.0 {
                 before = (worth, Some(a));
@@ -258,15 +287,87 @@ pub(super) fn off_the_path(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> 
         at = best[run].1;
     }
     let kept: Vec<usize> = (0..runs.len()).filter(|&run| on_path[run]).collect();
+    let passes = Passes::of(numbers, places, &limits);
     let mut left_out = Vec::new();
     for (r, run) in runs.iter().enumerate().filter(|(r, _)| !on_path[*r]) {
         let next = kept.partition_point(|&k| k < r);
         let before = next.checked_sub(1).map(|n| &places[runs[kept[n]].last]);
         let after = kept.get(next).map(|&n| &places[runs[n].first]);
         let beside: Vec<&Place> = before.into_iter().chain(after).collect();
-        left_out.extend((run.first..=run.last).map(|i| limits.why(numbers[i], &places[i], &beside)));
+        let why: Vec<LeftOut> =
+            (run.first..=run.last).map(|i| limits.why(numbers[i], &places[i], &beside)).collect();
+        if why.iter().any(|one| one.reason != Reason::OffShape) || !passes.confirm(run) {
+            left_out.extend(why);
+        }
     }
     left_out
+}
+
+/// The frames by place, to compare passes of the catheter.
+struct Passes<'a> {
+    numbers: &'a [usize],
+    places: &'a [Place],
+    limits: &'a Limits,
+    /// Indices of the frames in each cell of a cubic grid, in order.
+    cells: BTreeMap<[i64; 3], Vec<usize>>,
+}
+
+impl<'a> Passes<'a> {
+    fn of(numbers: &'a [usize], places: &'a [Place], limits: &'a Limits) -> Self {
+        let mut passes = Self { numbers, places, limits, cells: BTreeMap::new() };
+        for i in 0..places.len() {
+            passes.cells.entry(passes.cell(i)).or_default().push(i);
+        }
+        passes
+    }
+
+    /// Half of the lumen's radius wide.
+    fn cell(&self, i: usize) -> [i64; 3] {
+        let within_mm = (SHAPE_WITHIN_RADII * self.limits.radius_mm).max(f64::MIN_POSITIVE);
+        (self.places[i].pose.translation_mm / within_mm).to_array().map(|x| x.floor() as i64)
+    }
+
+    /// Whether nearly all other passes through the places of a run saw its shapes there, for most of its frames. Anatomy repeats
+    /// itself so, a wrong segmentation does not.
+    fn confirm(&self, run: &Run) -> bool {
+        let frames = run.first..=run.last;
+        let [alike, other] = frames
+            .clone()
+            .map(|i| self.votes(i))
+            .fold([0, 0], |[a, b], [alike, other]| [a + alike, b + other]);
+        alike >= LEAST_ALIKE * other && 2 * alike >= frames.count()
+    }
+
+    /// How many other passes saw a frame's shape at its place, and how many another one.
+    fn votes(&self, i: usize) -> [usize; 2] {
+        let cell = self.cell(i);
+        let beside = (0..27).map(|k| [cell[0] + k % 3 - 1, cell[1] + k / 3 % 3 - 1, cell[2] + k / 9 - 1]);
+        let mut near: Vec<(usize, f64)> = beside
+            .filter_map(|cell| self.cells.get(&cell))
+            .flatten()
+            .map(|&j| (j, self.apart_mm(i, j)))
+            .filter(|(_, apart_mm)| *apart_mm <= SHAPE_WITHIN_RADII * self.limits.radius_mm)
+            .collect();
+        near.sort_unstable_by_key(|(j, _)| *j);
+        let is_one_pass =
+            |a: &(usize, f64), b: &(usize, f64)| self.numbers[b.0] - self.numbers[a.0] <= PASS_GAP;
+        near.chunk_by(is_one_pass)
+            .filter(|pass| pass.iter().all(|(j, _)| *j != i))
+            .filter_map(|pass| pass.iter().min_by(|a, b| a.1.total_cmp(&b.1)))
+            .filter_map(|&(j, _)| self.places[i].shape_step(&self.places[j]))
+            .fold([0, 0], |[alike, other], step| match step <= self.limits.jump_shape {
+                true => [alike + 1, other],
+                false => [alike, other + 1],
+            })
+    }
+
+    /// How far a contour's points are from where another one's are, mm, turns about the probe's own axis left aside: these do
+    /// not change its shape.
+    fn apart_mm(&self, i: usize, j: usize) -> f64 {
+        let [a, b] = [i, j].map(|k| &self.places[k].pose);
+        let tilt_rad = a.rotation.z_axis.angle_between(b.rotation.z_axis);
+        a.translation_mm.distance(b.translation_mm) + self.limits.radius_mm * tilt_rad
+    }
 }
 
 /// What a pose that trackers send for a lost sensor looks like.

@@ -4,6 +4,7 @@ use super::{LeftOut, Reason, Screening};
 use crate::numerics::robust::median;
 use crate::recording::Frame;
 use glam::DVec2;
+use rayon::prelude::*;
 
 /// A contour with more of its echoes missing may be open towards the probe.
 const MAX_MISSING_SHARE: f64 = 0.25;
@@ -14,7 +15,7 @@ const NOISE_RADII: f64 = 0.25;
 /// too many to be left out, contours are given about another origin: then none is named here.
 pub(super) fn outside(frames: &[Frame], numbers: &[usize]) -> Vec<LeftOut> {
     let outside: Vec<(usize, f64)> =
-        numbers.iter().filter_map(|&k| Some((k, outside_by_mm(&frames[k])?))).collect();
+        numbers.par_iter().filter_map(|&k| Some((k, outside_by_mm(&frames[k])?))).collect();
     if outside.len() as f64 > Screening::MAX_SHARE * numbers.len() as f64 {
         return Vec::new();
     }

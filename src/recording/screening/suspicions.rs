@@ -22,12 +22,11 @@ const MAX_INTERVAL_S: f64 = 5.0;
 /// A path shorter than this many contour radii, and longer than that in metres, is given in metres.
 const METRES_PATH_RADII: f64 = 0.1;
 
-/// Whatever is suspicious about the frames that are used.
-pub(super) fn suspicions(recording: &Recording, left_out: &[LeftOut]) -> Vec<Finding> {
+/// Whatever is suspicious about the frames that are used, once their contours are cleaned.
+pub(super) fn suspicions(recording: &Recording, cleaned: &[Frame], left_out: &[LeftOut]) -> Vec<Finding> {
     let is_left = |k: usize| left_out.binary_search_by_key(&k, |one| one.place).is_ok();
-    let frames: Vec<(usize, &Frame)> =
-        recording.frames.iter().enumerate().filter(|(k, _)| !is_left(*k)).collect();
-    let mut findings = Findings::new(recording.frames.len());
+    let mut findings = Findings::new(cleaned.len());
+    let frames: Vec<(usize, &Frame)> = cleaned.iter().enumerate().filter(|(k, _)| !is_left(*k)).collect();
     for &(k, frame) in &frames {
         let (points, missing) = (frame.echoes_mm().count(), frame.missing_echoes());
         if points < MIN_POINTS {

@@ -13,7 +13,6 @@ mod moments;
 mod process;
 mod smoother;
 
-use super::prepare::Prepared;
 use super::prepare::echo::Echo;
 use super::prepare::grid::WallGrid;
 use super::support::{NodeErrors, Support};
@@ -24,7 +23,7 @@ use super::wall::residual::is_inlier;
 use crate::Result;
 use crate::numerics::nonnegative::nonnegative_least_squares;
 use crate::numerics::robust::median;
-use crate::recording::{FRAME_INTERVAL_S, Frame};
+use crate::recording::FRAME_INTERVAL_S;
 use crate::settings::SweepSettings;
 use moments::{Sectors, Sums};
 use process::{Process, Seen, add_draw, frequency_hz, random};
@@ -171,22 +170,23 @@ impl Bends {
 }
 
 /// Estimates the errors of a recording, fits the wall again with a smoothness that follows its roughness, and replaces the
-/// standard errors of the nodes. `None`, and no change, where there are too few echoes for it, or they are perfect.
+/// standard errors of the nodes. `times_s` are those of the frames, by their numbers. `None`, and no change, where there are too
+/// few echoes for it, or they are perfect.
 pub(super) fn estimate(
-    prepared: &Prepared,
+    grid: &WallGrid,
+    times_s: &[Option<f64>],
     settings: &SweepSettings,
     echoes: &mut [Echo],
     wall: &mut Wall,
     support: &Support,
     checkpoint: &Checkpoint,
 ) -> Result<Option<(RecordingErrors, NodeErrors)>> {
-    let Prepared { grid, frames, .. } = prepared;
     let roughness = settings.roughness;
     let perfect = wall.noise_mm.is_nan() || wall.noise_mm <= 1e-9 * grid.radius_mm();
-    if frames.len() < MIN_FRAMES || echoes.len() < MIN_ECHOES || perfect {
+    if times_s.len() < MIN_FRAMES || echoes.len() < MIN_ECHOES || perfect {
         return Ok(None);
     }
-    let recording = Recorded::of(grid, frames, echoes, &support.supported);
+    let recording = Recorded::of(grid, times_s, echoes, &support.supported);
     let mut estimate = recording.estimate(roughness, echoes, wall)?;
     // Without noise the grid smooths more than the echoes ask for.
     if !settings.even_smoothness && wall.noise_mm > grid.cell_noise_mm(roughness) {
@@ -213,14 +213,14 @@ struct Recorded<'a> {
 }
 
 impl<'a> Recorded<'a> {
-    fn of(grid: &'a WallGrid, frames: &[Frame], echoes: &[Echo], supported: &'a [bool]) -> Self {
-        let mut has_echoes = vec![false; frames.len()];
+    fn of(grid: &'a WallGrid, of_frames_s: &[Option<f64>], echoes: &[Echo], supported: &'a [bool]) -> Self {
+        let mut has_echoes = vec![false; of_frames_s.len()];
         echoes.iter().for_each(|echo| has_echoes[echo.frame as usize] = true);
-        let (mut times_s, mut numbers) = (Vec::new(), vec![0; frames.len()]);
-        for k in (0..frames.len()).filter(|&k| has_echoes[k]) {
+        let (mut times_s, mut numbers) = (Vec::new(), vec![0; of_frames_s.len()]);
+        for k in (0..of_frames_s.len()).filter(|&k| has_echoes[k]) {
             numbers[k] = times_s.len() as u32;
             let next_s = times_s.last().map_or(0.0, |before| before + FRAME_INTERVAL_S);
-            times_s.push(frames[k].time_s.unwrap_or(next_s));
+            times_s.push(of_frames_s[k].unwrap_or(next_s));
         }
         let seen = |echo: &Echo| Seen::new(echo.theta_rad(grid.nodes), numbers[echo.frame as usize]);
         Self { grid, times_s, seen: echoes.par_iter().map(seen).collect(), supported }
@@ -651,6 +651,11 @@ fn mean(lists: impl Iterator<Item = Vec<f64>>) -> Vec<f64> {
 }
 
 impl RecordingErrors {
+    /// Standard deviation of the shifts of frames along each axis, all kinds together, mm.
+    pub(super) fn shift_mm(&self) -> f64 {
+        self.shifts.iter().map(|shift| shift.sd_mm * shift.sd_mm).sum::<f64>().sqrt()
+    }
+
     /// How far the vessel lies beside the reconstructed wall, which is that of its mean place, at the ends of the way that a
     /// beat carries it, mm along each axis; `None` where no beat shows. A vessel that breath or heart moves rests at one of
     /// them.

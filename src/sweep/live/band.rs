@@ -308,6 +308,16 @@ impl EchoBand {
         self.cells.iter().flatten().filter(counted).filter_map(|sample| sample.bin)
     }
 
+    /// Its samples, as [`Echo`]s of the whole grid with their weights, and whether each represents several.
+    pub fn echoes(&self) -> impl Iterator<Item = (Echo, bool)> + '_ {
+        let of_grid = |sample: &Sample| Echo {
+            ring: sample.echo.ring + self.ring as f64,
+            weight: sample.weight,
+            ..sample.echo
+        };
+        self.cells.iter().flatten().map(move |sample| (of_grid(sample), sample.is_merged))
+    }
+
     /// Whether there are too few echoes yet to determine a wall.
     fn is_warming_up(&self) -> bool {
         self.count < self.cells.len()

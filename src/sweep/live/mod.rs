@@ -40,6 +40,8 @@ pub(crate) struct LiveSweep {
     settings: Settings,
     frames: usize,
     clock_s: f64,
+    /// When the frames were taken, by their numbers; `None` for those that are left out.
+    times_s: Vec<Option<f64>>,
     /// The wall that was seen first, and those of branches, in the order in which they were found.
     walls: Vec<LiveWall>,
     /// Branches that were entered and are too short for a wall yet, the oldest first.
@@ -56,7 +58,14 @@ enum Place {
 impl LiveSweep {
     pub fn new(settings: &Settings) -> Self {
         let first = LiveWall::new(None);
-        Self { settings: settings.clone(), frames: 0, clock_s: 0.0, walls: vec![first], entered: Vec::new() }
+        Self {
+            settings: settings.clone(),
+            frames: 0,
+            clock_s: 0.0,
+            times_s: Vec::new(),
+            walls: vec![first],
+            entered: Vec::new(),
+        }
     }
 
     /// Forgets all frames.
@@ -97,6 +106,8 @@ impl LiveSweep {
     pub fn push(&mut self, number: usize, frame: &Frame) -> Result<Step> {
         let after = self.clock_s + if self.frames == 0 { 0.0 } else { FRAME_INTERVAL_S };
         self.clock_s = frame.time_s.unwrap_or(after);
+        self.times_s.resize(number + 1, None);
+        self.times_s[number] = Some(self.clock_s);
         let world_from_probe = frame.world_from_sensor * self.settings.calibration.sensor_from_probe();
         let mut placed = PlacedFrame {
             number: number as u32,
@@ -221,7 +232,7 @@ impl LiveSweep {
         self.entered.clear();
         let mut all = Step::default();
         for k in 0..self.walls.len() {
-            let step = self.walls[k].flush()?;
+            let step = self.walls[k].flush(&self.times_s, &self.settings)?;
             let step = self.in_all(k, step);
             all.add(step);
         }

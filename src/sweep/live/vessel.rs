@@ -9,13 +9,17 @@ use crate::geometry::{Pose, rotation_minimising_frames, transported};
 use crate::numerics::robust::{SD_PER_MAD, median};
 use crate::recording::Frame;
 use crate::recording::echo_error::OUT_OF_PLANE;
-use crate::settings::Settings;
+use crate::settings::{Settings, SweepSettings};
+use crate::sweep::errors;
 use crate::sweep::prepare::axis::Axis;
 use crate::sweep::prepare::contour::Outline;
+use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::WallGrid;
 use crate::sweep::support::{Support, Tally, is_in_reach, max_error_mm};
 use crate::sweep::wall::bending::LocalSmoothness;
+use crate::sweep::wall::engine::refit;
 use crate::sweep::wall::equations::Equations;
+use crate::sweep::wall::fit::{Checkpoint, Wall};
 use crate::sweep::wall::operator::Operator;
 use crate::sweep::wall::residual::ResidualModel;
 use crate::sweep::wall::solver::Solver;
@@ -58,6 +62,8 @@ const FIRST_ROUNDS: usize = 4;
 const WARM_UP_ROUNDS: usize = 1;
 /// Rounds over all echoes after the last frame.
 const LAST_ROUNDS: usize = 4;
+/// Largest share of the samples that represent several echoes in a wall that is fitted as that of a whole recording.
+const MAX_MERGED: f64 = 0.25;
 /// Residuals from which the noise is known.
 const MIN_RESIDUALS: u64 = 256;
 
@@ -165,6 +171,8 @@ pub(super) struct GrowingVessel {
     untried: usize,
     pub support: Support,
     shared: SharedErrors,
+    /// Shifts of whole frames along each axis, as the last fit of the whole wall found them, mm.
+    shift_mm: f64,
     /// Whether the next wall that shows errors is one of the background window: frames have them in turns.
     errors_behind: bool,
     /// Running medians of |residual|, of the weight of the echoes at a node, and of the nodes' standard errors.
@@ -202,6 +210,7 @@ impl GrowingVessel {
             untried: 0,
             support: Support::none(),
             shared: SharedErrors::none(),
+            shift_mm: 0.0,
             errors_behind: false,
             residuals: RunningMedian::new(),
             densities: RunningMedian::new(),
@@ -234,6 +243,7 @@ impl GrowingVessel {
             && self.support.is_of(rings * nodes)
             && self.shared.is_sound(rings, nodes)
             && self.bands.iter().enumerate().all(|(ring, band)| band.is_sound(&self.grid, ring))
+            && self.shift_mm.is_finite()
             && self.observed.start <= self.observed.end
             && self.observed.end < rings
             && self.background < rings + BACKGROUND_STEP
@@ -371,8 +381,14 @@ impl GrowingVessel {
         Ok(step)
     }
 
-    /// Adds the echoes of earlier frames whose centres the axis knows, and fits the whole wall to all echoes.
-    pub fn finish(&mut self, earlier: &[PlacedFrame]) -> Result<Step> {
+    /// Adds the echoes of earlier frames whose centres the axis knows, and fits the whole wall to all echoes, at last as a sweep
+    /// of the whole recording does. `times_s` are those of the frames, by their numbers.
+    pub fn finish(
+        &mut self,
+        earlier: &[PlacedFrame],
+        times_s: &[Option<f64>],
+        settings: &SweepSettings,
+    ) -> Result<Step> {
         let mut step = Step::default();
         let start = Instant::now();
         let noise_mm = self.judging_noise_mm();
@@ -391,8 +407,54 @@ impl GrowingVessel {
             step.rings += solved.len();
             step.changed.push(solved);
         }
+        if self.fit_as_whole(times_s, settings)? {
+            step.rings += self.grid.rings;
+            step.changed.push(0..self.grid.rings);
+        }
         step.solving_s = start.elapsed().as_secs_f64();
         Ok(step)
+    }
+
+    /// Fits the wall to all echoes with a smoothness that follows its own roughness, and replaces the standard errors by those
+    /// that the errors of the echoes make. `false`, and no change, where many samples represent several echoes: their noise is
+    /// not that of an echo.
+    fn fit_as_whole(&mut self, times_s: &[Option<f64>], settings: &SweepSettings) -> Result<bool> {
+        let samples = self.bands.iter().flat_map(EchoBand::echoes);
+        let (mut echoes, is_merged): (Vec<Echo>, Vec<bool>) = samples.unzip();
+        let merged = is_merged.iter().filter(|is| **is).count() as f64;
+        // Of a state that was read from a file, too.
+        let is_timed = echoes.iter().all(|echo| (echo.frame as usize) < times_s.len());
+        let is_known = self.residuals.count() >= MIN_RESIDUALS;
+        if merged > MAX_MERGED * echoes.len() as f64 || !is_timed || !is_known {
+            return Ok(false);
+        }
+        echoes.sort_by(|a, b| a.ring.total_cmp(&b.ring));
+        let go_on: &Checkpoint = &|| Ok(());
+        let wall = Wall {
+            radii_mm: self.radii_mm.clone(),
+            noise_mm: self.noise_mm(),
+            smoothness_mm2: self.smoothness_mm2(),
+            // Behind the warm-up of a new wall.
+            iterations: LAST_ROUNDS,
+            ..Wall::tube(&self.grid, self.grid.radius_mm())
+        };
+        let mut wall = refit(&self.grid, &mut echoes, self.roughness, wall, go_on)?;
+        let mut support = Support::of(&self.grid, &echoes, &wall);
+        let found = errors::estimate(&self.grid, times_s, settings, &mut echoes, &mut wall, &support, go_on)?;
+        if let Some((errors, of_nodes)) = found {
+            self.shift_mm = errors.shift_mm();
+            support = Support::of(&self.grid, &echoes, &wall);
+            support.replace_errors(of_nodes);
+        }
+        // Residuals are evaluated again when the next frames come.
+        for (ring, band) in self.bands.iter_mut().enumerate() {
+            let nodes = ring * self.grid.nodes..((ring + 2) * self.grid.nodes).min(self.radii_mm.len());
+            let moved = nodes.map(|node| (wall.radii_mm[node] - self.radii_mm[node]).abs());
+            band.travel_mm += moved.fold(0.0, f64::max);
+        }
+        self.radii_mm = wall.radii_mm;
+        self.support = support;
+        Ok(true)
     }
 
     /// Adds the echoes of a frame; the rings of the first and the last of them on the wall.
@@ -435,6 +497,11 @@ impl GrowingVessel {
     /// Standard deviation of an echo about the wall, mm; 0 of no residuals yet.
     pub fn noise_mm(&self) -> f64 {
         SD_PER_MAD * self.residuals.value()
+    }
+
+    /// Standard deviation of shifts of whole frames along each axis, mm; 0 until the whole wall was fitted.
+    pub fn shift_mm(&self) -> f64 {
+        self.shift_mm
     }
 
     /// The noise that residuals are judged by, mm: as much as the lumen's radius until enough of them are known.

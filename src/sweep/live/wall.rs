@@ -164,9 +164,9 @@ impl LiveWall {
 
     /// Adds what still waits from before the wall began, and fits the whole wall. After the last frame: it takes longer than
     /// a frame may.
-    pub fn flush(&mut self) -> Result<Step> {
+    pub fn flush(&mut self, times_s: &[Option<f64>], settings: &Settings) -> Result<Step> {
         let Some(vessel) = &mut self.vessel else { return Ok(Step::default()) };
-        vessel.finish(&fed(&mut self.waiting, usize::MAX))
+        vessel.finish(&fed(&mut self.waiting, usize::MAX), times_s, &settings.sweep)
     }
 
     /// Number of rings.
@@ -183,7 +183,8 @@ impl LiveWall {
     /// coincide, the one that comes first in the vessel is kept (`true` for those that come before this).
     pub fn surface(&self, rings: Range<usize>, others: &[(&Self, bool)], keep_unsupported: bool) -> Surface {
         let Some(vessel) = &self.vessel else { return Surface::default() };
-        let tangential_mm = (TANGENTIAL_PER_JUMP * self.jumps.value()).min(vessel.noise_mm());
+        let tangential_mm =
+            (TANGENTIAL_PER_JUMP * self.jumps.value()).min(vessel.noise_mm()).hypot(vessel.shift_mm());
         let radius = |node: usize| {
             let radius = vessel.radii_mm[node];
             radius - outward_bias_mm(radius, tangential_mm)

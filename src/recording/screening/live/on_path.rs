@@ -1,11 +1,13 @@
-//! The screening while frames arrive: what is told at once, and what only later frames can tell.
+//! Frames one by one: what is told of one at once, and what only later ones can tell.
 
-use super::no_echo::{self, Counts};
-use super::path::{JUMP_PRICE, LOST_STEPS, Limits, Place, is_lost_value, lost_frame, step_mm};
-use super::{LeftOut, NoEcho, Reason, Screening, artefacts, probe, repeats};
+use super::Judged;
 use crate::numerics::robust::median;
 use crate::recording::Frame;
-use glam::{DVec2, DVec3};
+use crate::recording::screening::path::{
+    JUMP_PRICE, Jump, LOST_STEPS, Limits, Place, is_lost_value, lost_frame, step_mm,
+};
+use crate::recording::screening::{LeftOut, Reason, Screening, probe, repeats};
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -13,18 +15,16 @@ use std::collections::VecDeque;
 const MEMORY: usize = 256;
 /// Frames that wait for a decision, at most; beyond, the oldest run of them is left out.
 const MAX_WAITING: usize = 4 * JUMP_PRICE as usize;
-/// Frames that are handed over at a time after a decision, so that none of them takes long.
-const FRAMES_AT_A_TIME: usize = 4;
 /// A lost pose is told after so many good ones.
 const MIN_ACCEPTED: usize = 5;
 
-/// Screens frames one by one.
+/// The frames on the path of the catheter so far, and those that wait beside it.
 ///
 /// A frame that jumps off the path waits. Where the path goes on as before, it was off; where its own run of frames becomes
 /// as long as [`Screening`] asks of a path, the sensor was moved, and the run is used. Where that run is longer than all
 /// that was used before, the recording began with a lost sensor: what was used is left out.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-pub(crate) struct LiveScreening {
+pub(super) struct LivePath {
     /// Frames that have come.
     frames: usize,
     /// The last frame on the path and its number, how many frames are on it, and the numbers of the first of them.
@@ -42,9 +42,7 @@ pub(crate) struct LiveScreening {
     positions_mm: VecDeque<DVec3>,
     /// Contours that do not contain the probe.
     outside: usize,
-    counts: Counts,
-    no_echo: Vec<NoEcho>,
-    /// The frame before, as it came, and how many frames in a row had its pose.
+    /// The frame before, and how many frames in a row had its pose.
     before: Option<(usize, Frame)>,
     same_pose: usize,
 }
@@ -54,29 +52,21 @@ pub(crate) struct LiveScreening {
 struct Run {
     frames: Vec<(usize, Frame)>,
     last: Place,
+    /// The price of the jump to it, and of that back from it where it is one of the shape: a burst of wrong contours ends.
     price: f64,
+    price_back: f64,
 }
 
-/// What a frame decides.
-#[derive(Debug, Default)]
-pub(crate) struct Judged {
-    /// Whether everything that was handed over before is wrong. Frames are then handed over from the first on.
-    pub restart: bool,
-    /// The next frames in their order, each once; `None` for one that is left out.
-    pub frames: Vec<(usize, Option<Frame>)>,
-    /// Frames that are found unfit now.
-    pub left_out: Vec<LeftOut>,
-}
-
-impl LiveScreening {
-    /// Whether it can go on after it was read from a file.
-    pub fn is_sound(&self) -> bool {
+impl LivePath {
+    /// Whether it can go on after it was read from a file, where so many frames have come.
+    pub fn is_sound(&self, frames: usize) -> bool {
         let came = |number: &usize| *number < self.frames;
         let of_runs = self.runs.iter().flat_map(|run| run.frames.iter().map(|(number, _)| number));
         let known =
             self.last.iter().map(|(number, _)| number).chain(self.before.iter().map(|(number, _)| number));
         let ready = self.ready.iter().map(|(number, _)| number);
         known.chain(of_runs).chain(ready).chain(&self.head).all(came)
+            && self.frames == frames
             && self.waiting() <= MAX_WAITING
             && self.accepted <= self.frames
             && self.same_pose <= self.frames
@@ -88,13 +78,10 @@ impl LiveScreening {
         self.runs.iter().map(|run| run.frames.len()).sum()
     }
 
-    /// Takes the next frame.
-    pub fn push(&mut self, frame: &Frame) -> Judged {
-        let number = self.frames;
+    /// Takes the next frame, its contour cleaned.
+    pub fn push(&mut self, number: usize, frame: &Frame, judged: &mut Judged) {
         self.frames += 1;
-        let mut judged = Judged::default();
-        let frame = self.without_no_echo(frame);
-        match self.alone(number, &frame) {
+        match self.alone(number, frame) {
             Some(left_out) => {
                 judged.left_out.push(left_out);
                 // Numbers stay in order: behind frames that wait, its turn comes with theirs.
@@ -103,24 +90,24 @@ impl LiveScreening {
                     None => self.ready.push_back((number, None)),
                 }
             }
-            None => self.place(number, frame, &mut judged),
+            None => self.place(number, frame.clone(), judged),
         }
         // Also where frames without a pose or an image follow one that jumps, and nothing ever decides.
         while self.waiting() > MAX_WAITING {
             let oldest = self.runs.remove(0);
-            self.leave_out_beside_the_path(vec![oldest], &mut judged);
+            self.leave_out_beside_the_path(vec![oldest], judged);
         }
-        self.hand_over(FRAMES_AT_A_TIME, &mut judged);
-        judged
     }
 
-    /// Ends the waiting: frames that are undecided are left out.
-    pub fn flush(&mut self) -> Judged {
-        let mut judged = Judged::default();
+    /// Ends the waiting: frames that are undecided are left out, but for a run that is long enough where nothing follows it.
+    pub fn flush(&mut self, judged: &mut Judged) {
+        let used = |run: &Run| run.frames.iter().filter(|(_, frame)| !frame.contour_mm.is_empty()).count();
+        if let Some(r) = self.runs.iter().rposition(|run| used(run) as f64 >= run.price) {
+            self.go_on_with(r, self.limits(), judged);
+        }
         let runs = std::mem::take(&mut self.runs);
-        self.leave_out_beside_the_path(runs, &mut judged);
-        self.hand_over(usize::MAX, &mut judged);
-        judged
+        self.leave_out_beside_the_path(runs, judged);
+        self.hand_over(usize::MAX, judged);
     }
 
     fn leave_out_beside_the_path(&mut self, runs: Vec<Run>, judged: &mut Judged) {
@@ -132,7 +119,7 @@ impl LiveScreening {
     }
 
     /// Hands over decided frames, at most so many that are used.
-    fn hand_over(&mut self, most: usize, judged: &mut Judged) {
+    pub fn hand_over(&mut self, most: usize, judged: &mut Judged) {
         let mut used = 0;
         while used < most
             && let Some(next) = self.ready.pop_front()
@@ -140,21 +127,6 @@ impl LiveScreening {
             used += usize::from(next.1.is_some());
             judged.frames.push(next);
         }
-    }
-
-    /// Replaces values that stand for "no echo" by NaN.
-    fn without_no_echo(&mut self, frame: &Frame) -> Frame {
-        self.counts.add(frame);
-        self.no_echo = self.counts.found();
-        let sorted = artefacts::sorted(frame).map(|contour_mm| frame.clone().with_contour_mm(contour_mm));
-        let frame = sorted.as_ref().unwrap_or(frame);
-        let mut frame = frame.clone();
-        for p in &mut frame.contour_mm {
-            if no_echo::is_no_echo(&self.no_echo, *p) {
-                *p = DVec2::NAN;
-            }
-        }
-        frame
     }
 
     /// Why a frame is left out, as far as it and the frame before tell.
@@ -249,14 +221,15 @@ impl LiveScreening {
                 run.last = place;
                 // All that came after the run's start and is not part of it is off its path.
                 let used = run.frames.iter().filter(|(_, frame)| !frame.contour_mm.is_empty()).count();
-                let enough = (used as f64) >= run.price.min(self.accepted as f64 + 1.0);
+                let enough = (used as f64) >= (run.price + run.price_back).min(self.accepted as f64 + 1.0);
                 if enough {
                     self.go_on_with(r, limits, judged);
                 }
             }
             None => {
                 let price = jump.map_or(0.0, |jump| jump.price(usize::MAX));
-                self.runs.push(Run { frames: vec![(number, frame)], last: place, price });
+                let price_back = if jump == Some(Jump::Shape) { price } else { 0.0 };
+                self.runs.push(Run { frames: vec![(number, frame)], last: place, price, price_back });
             }
         }
     }
