@@ -111,7 +111,7 @@ impl BranchedCylinders {
         let unsupported: Vec<Vec<bool>> = tubes.iter().map(|tube| vec![false; tube.radii_mm.len()]).collect();
         let fits = noise_mm.iter().zip(&unsupported).map(|(&noise_mm, supported)| TubeFit {
             noise_mm,
-            tangential_noise_mm: 0.0,
+            along_wall_mm: 0.0,
             smoothness_mm2: (noise_mm / settings.sweep.roughness).powi(2),
             standard_error_mm: &[],
             supported,

@@ -32,9 +32,9 @@ const RINGS_ABOUT: usize = 2;
 
 /// What is known of a tube's fit.
 pub(super) struct TubeFit<'a> {
-    /// Standard deviation of an echo about the wall, mm, and the part of it along the wall.
+    /// Standard deviation of an echo about the wall, and along it, mm.
     pub noise_mm: f64,
-    pub tangential_noise_mm: f64,
+    pub along_wall_mm: f64,
     /// λ, mm².
     pub smoothness_mm2: f64,
     /// Standard error of each node of its grid, mm, and whether it is supported.
@@ -137,7 +137,7 @@ impl Part {
             };
             let radius = tubes[tube].radius_mm(ring, theta_rad);
             radius_mm.push(radius);
-            bias_mm.push(outward_bias_mm(radius, fits[tube].tangential_noise_mm));
+            bias_mm.push(outward_bias_mm(radius, fits[tube].along_wall_mm));
             members.push(tube);
         }
         members.sort_unstable();

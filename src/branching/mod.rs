@@ -240,7 +240,7 @@ fn swept(
 fn tube_fit(sweep: &Sweep) -> TubeFit<'_> {
     TubeFit {
         noise_mm: sweep.report.noise_mm,
-        tangential_noise_mm: sweep.report.tangential_noise_mm,
+        along_wall_mm: sweep.along_wall_mm(),
         smoothness_mm2: sweep.report.smoothness_mm2,
         standard_error_mm: &sweep.support.standard_error_mm,
         supported: &sweep.support.supported,

@@ -146,11 +146,10 @@ impl Sweep {
             let Prepared { grid, .. } = &prepared;
             errors::estimate(grid, &times_s, &settings.sweep, &mut echoes, &mut wall, &support, &estimating)
         })?;
-        // Shifts of whole frames lie along the wall, too.
-        let shift_mm = errors.as_ref().map_or(0.0, |(errors, _)| errors.shift_mm());
-        let tangential_noise_mm = prepared.tangential_noise_mm().min(wall.noise_mm).hypot(shift_mm);
+        let tangential_noise_mm = prepared.tangential_noise_mm().min(wall.noise_mm);
+        let along_mm = along_wall_mm(tangential_noise_mm, errors.as_ref().map(|(errors, _)| errors));
         for radius in &mut wall.radii_mm {
-            *radius -= outward_bias_mm(*radius, tangential_noise_mm);
+            *radius -= outward_bias_mm(*radius, along_mm);
         }
         let errors = errors.map(|(errors, of_nodes)| {
             let mut again_s = 0.0;
@@ -178,6 +177,11 @@ impl Sweep {
         Ok(Self { axis, nodes: grid.nodes, radii_mm: fitted.wall.radii_mm, support, report })
     }
 
+    /// Standard deviation of an echo along the wall, mm: its own noise, and shifts of whole frames.
+    pub(crate) fn along_wall_mm(&self) -> f64 {
+        along_wall_mm(self.report.tangential_noise_mm, self.report.errors.as_ref())
+    }
+
     /// The vessel as a triangle surface, normals outward, open at its ends; without the nodes that are not
     /// supported unless `keep_unsupported`. Arrays: `support` (echoes), `residual_mm`, `standard_error_mm`,
     /// `error_reach_mm`, `frame` (last seen), `supported` (1 or 0).
@@ -195,4 +199,8 @@ impl Sweep {
             keep_unsupported,
         )
     }
+}
+
+fn along_wall_mm(tangential_noise_mm: f64, errors: Option<&RecordingErrors>) -> f64 {
+    tangential_noise_mm.hypot(errors.map_or(0.0, RecordingErrors::shift_mm))
 }

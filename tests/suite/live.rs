@@ -63,6 +63,33 @@ fn to_and_fro() -> Insertion {
         .with_repeat(false)
 }
 
+/// After the last frame the wall is as smooth as that of the whole recording, and its standard errors hold.
+#[test]
+fn the_last_fit_is_nearly_that_of_the_whole_recording() {
+    let steady = || Insertion::steady().with_speed_mm_s(2.4);
+    for (shape, insertion, seed) in
+        [("arch", steady(), 7), ("arch", steady(), 8), ("stenosis", to_and_fro(), 3)]
+    {
+        let simulation = simulated(shape, insertion, seed);
+        let wall = simulation.vessel.surface();
+        let truth = Truth::new(wall.clone()).unwrap();
+        let batch = Reconstructor::new(sweep()).run(&simulation.recording).unwrap().surface();
+        let mut live = pushed(&simulation.recording.frames, &sweep());
+        let before_mm = mean_error_mm(&live.surface(), wall);
+        live.flush().unwrap();
+        let surface = live.surface();
+        let (live_mm, batch_mm) = (mean_error_mm(&surface, wall), mean_error_mm(&batch, wall));
+        println!("{shape}: {before_mm} mm, {live_mm} after the last fit, {batch_mm} of the whole recording");
+        assert!(live_mm < 1.2 * batch_mm, "{shape}: {live_mm} mm, {batch_mm} of the whole recording");
+        assert!(live_mm < 0.95 * before_mm, "{shape}: {live_mm} mm, {before_mm} before the last fit");
+        let error_mm = evaluate(&surface, &truth).unwrap().error_mm;
+        let standard_mm = surface.array("standard_error_mm").unwrap();
+        let within = error_mm.iter().zip(standard_mm).filter(|(e, s)| e.abs() <= 2.0 * **s).count();
+        let share = within as f64 / error_mm.len() as f64;
+        assert!(share > 0.9, "{shape}: {share} within two standard errors");
+    }
+}
+
 #[test]
 fn live_cylinders_are_those_of_the_batch_to_the_last_bit() {
     let settings = cylinders();

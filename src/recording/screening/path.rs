@@ -58,6 +58,8 @@ const JUMP_PRICE_SHARE: f64 = 0.25;
 const MIN_FRAMES: usize = 5;
 /// Other passes confirm a shape where so many times as many saw it as saw another.
 const LEAST_ALIKE: usize = 3;
+/// Largest number of a cell of frames.
+const MAX_CELL: f64 = 1e15;
 /// Frames near a place are of different passes of the catheter where so many others lie between them.
 const PASS_GAP: usize = 80;
 /// Runs that a path may pass over at a time.
@@ -324,7 +326,9 @@ impl<'a> Passes<'a> {
     /// Half of the lumen's radius wide.
     fn cell(&self, i: usize) -> [i64; 3] {
         let within_mm = (SHAPE_WITHIN_RADII * self.limits.radius_mm).max(f64::MIN_POSITIVE);
-        (self.places[i].pose.translation_mm / within_mm).to_array().map(|x| x.floor() as i64)
+        let cell = (self.places[i].pose.translation_mm / within_mm).floor();
+        // So that neighbours have numbers too, however small the lumen.
+        cell.clamp(DVec3::splat(-MAX_CELL), DVec3::splat(MAX_CELL)).as_i64vec3().to_array()
     }
 
     /// Whether nearly all other passes through the places of a run saw its shapes there, for most of its frames. Anatomy repeats

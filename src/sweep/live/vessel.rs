@@ -4,7 +4,6 @@ use super::band::{EchoBand, Sample, Scene};
 use super::curve::{Curve, Growth};
 use super::running_median::RunningMedian;
 use super::shared::{Independent, Pulls, SharedErrors, WALLS, WallOf};
-use crate::Result;
 use crate::geometry::{Pose, rotation_minimising_frames, transported};
 use crate::numerics::robust::{SD_PER_MAD, median};
 use crate::recording::Frame;
@@ -23,6 +22,7 @@ use crate::sweep::wall::fit::{Checkpoint, Wall};
 use crate::sweep::wall::operator::Operator;
 use crate::sweep::wall::residual::ResidualModel;
 use crate::sweep::wall::solver::Solver;
+use crate::{Error, Result};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -407,7 +407,12 @@ impl GrowingVessel {
             step.rings += solved.len();
             step.changed.push(solved);
         }
-        if self.fit_as_whole(times_s, settings)? {
+        let is_fitted = match self.fit_as_whole(times_s, settings) {
+            // The wall as it is remains.
+            Err(Error::Solver { .. }) => false,
+            done => done?,
+        };
+        if is_fitted {
             step.rings += self.grid.rings;
             step.changed.push(0..self.grid.rings);
         }
@@ -418,6 +423,9 @@ impl GrowingVessel {
     /// Fits the wall to all echoes with a smoothness that follows its own roughness, and replaces the standard errors by those
     /// that the errors of the echoes make. `false`, and no change, where many samples represent several echoes: their noise is
     /// not that of an echo.
+    ///
+    /// # Errors
+    /// [`Error::Solver`], and no change, where the equations have no solution.
     fn fit_as_whole(&mut self, times_s: &[Option<f64>], settings: &SweepSettings) -> Result<bool> {
         let samples = self.bands.iter().flat_map(EchoBand::echoes);
         let (mut echoes, is_merged): (Vec<Echo>, Vec<bool>) = samples.unzip();
