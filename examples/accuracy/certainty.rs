@@ -7,7 +7,7 @@ use lumenmesh::output::write_atomically;
 use lumenmesh::reconstruction::{LumenReport, Reconstructor};
 use lumenmesh::report::plot::{Line, Mark, Room, lines};
 use lumenmesh::settings::Settings;
-use lumenmesh::simulate::{FaultKind, Insertion};
+use lumenmesh::simulate::Insertion;
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::{AlikeErrors, Beat, RecordingErrors};
 use std::path::Path;
@@ -125,11 +125,7 @@ pub(super) fn run(wanted: Option<&str>) -> Result<()> {
          |---|---|---|---|---|---|---|---|\n",
     );
     let mut of_groups: [Vec<(f64, f64)>; GROUPS.len()] = Default::default();
-    let kinds = FaultKind::ALL.map(|kind| (kind.name, Some(kind)));
-    for (name, kind) in std::iter::once(("none", None)).chain(kinds) {
-        if wanted.is_some_and(|part| !name.contains(part)) {
-            continue;
-        }
+    for (name, kind) in kinds::named(wanted) {
         for (short, vessel, is_steady, seed) in RECORDINGS {
             let simulation = kinds::simulated(kind, vessel, insertion(is_steady), seed)?;
             let truth = Truth::new(simulation.vessel.surface().clone())?;
@@ -163,8 +159,7 @@ pub(super) fn run(wanted: Option<&str>) -> Result<()> {
         }
     }
     if wanted.is_none() {
-        let version = env!("CARGO_PKG_VERSION");
-        replace_table(&format!("{BEGIN}\nlumenmesh {version}.\n\n{table}\n{END}"), BEGIN, END)?;
+        replace_table("", &table, BEGIN, END)?;
         let picture = picture(of_groups.map(Certainty))?;
         write_atomically(Path::new(PICTURE), |out| out.write_all(picture.as_bytes()))?;
     }

@@ -25,12 +25,7 @@ pub(super) fn run(wanted: Option<&str>) -> Result<()> {
         "| error | vessel | stitched | blended | sweep | > 1 mm | within 1, 2, 3 s.e. | rank | Poisson, best depth | \
          sweep : Poisson |\n|---|---|---|---|---|---|---|---|---|---|\n",
     );
-    let none = ("none", None);
-    let kinds = FaultKind::ALL.map(|kind| (kind.name, Some(kind)));
-    for (name, kind) in std::iter::once(none).chain(kinds) {
-        if wanted.is_some_and(|part| !name.contains(part)) {
-            continue;
-        }
+    for (name, kind) in named(wanted) {
         for (short, vessel, speed_mm_s) in VESSELS {
             let row = row(name, kind, (short, vessel, speed_mm_s), python.as_deref())?;
             print!("{row}");
@@ -38,10 +33,17 @@ pub(super) fn run(wanted: Option<&str>) -> Result<()> {
         }
     }
     if wanted.is_none() {
-        let version = env!("CARGO_PKG_VERSION");
-        replace_table(&format!("{BEGIN}\nlumenmesh {version}.\n\n{table}\n{END}"), BEGIN, END)?;
+        replace_table("", &table, BEGIN, END)?;
     }
     Ok(())
+}
+
+/// Independent noise alone, and all kinds of errors: those with one of the `wanted`, separated by commas, in their names.
+pub(super) fn named(wanted: Option<&str>) -> impl Iterator<Item = (&'static str, Option<FaultKind>)> {
+    let is_wanted =
+        move |name: &str| wanted.is_none_or(|parts| parts.split(',').any(|part| name.contains(part)));
+    let kinds = FaultKind::ALL.map(|kind| (kind.name, Some(kind)));
+    std::iter::once(("none", None)).chain(kinds).filter(move |(name, _)| is_wanted(name))
 }
 
 /// A recording with that kind of error, or with independent noise only, of 72 rays in a frame.

@@ -8,7 +8,6 @@ use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::reconstruction::{Live, Reconstructor};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::Settings;
-use lumenmesh::simulate::FaultKind;
 use lumenmesh::surface::Surface;
 
 const BEGIN: &str = "<!-- live: written by `cargo run --release --example accuracy -- --live` -->\n";
@@ -28,9 +27,7 @@ pub(super) fn run(wanted: Option<&str>) -> Result<()> {
          within 1, 2, 3 s.e.: live | batch | spread: live | batch |\n\
          |---|---|---|---|---|---|---|---|---|---|---|---|---|\n"
     );
-    let is_wanted = |name: &str| wanted.is_none_or(|parts| parts.split(',').any(|part| name.contains(part)));
-    let kinds = FaultKind::ALL.map(|kind| (kind.name, Some(kind)));
-    for (name, kind) in std::iter::once(("none", None)).chain(kinds).filter(|(name, _)| is_wanted(name)) {
+    for (name, kind) in kinds::named(wanted) {
         for (short, vessel, is_steady, seed) in RECORDINGS {
             let simulation = kinds::simulated(kind, vessel, insertion(is_steady), seed)?;
             let truth = Truth::new(simulation.vessel.surface().clone())?;
@@ -59,8 +56,7 @@ pub(super) fn run(wanted: Option<&str>) -> Result<()> {
         }
     }
     if wanted.is_none() {
-        let version = env!("CARGO_PKG_VERSION");
-        replace_table(&format!("{BEGIN}\nlumenmesh {version}.\n\n{table}\n{END}"), BEGIN, END)?;
+        replace_table("", &table, BEGIN, END)?;
     }
     Ok(())
 }

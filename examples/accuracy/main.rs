@@ -149,11 +149,7 @@ fn run(wanted: Option<&str>) -> Result<bool> {
     if python.is_none() {
         println!("Poisson was not run: {TABLE} stays as it is");
     } else if wanted.is_none() {
-        let version = env!("CARGO_PKG_VERSION");
-        let text = format!(
-            "{BEGIN}\nlumenmesh {version}; the seed of each recording is in its name.\n\n{table}\n{END}"
-        );
-        replace_table(&text, BEGIN, END)?;
+        replace_table("; the seed of each recording is in its name", &table, BEGIN, END)?;
         println!("wrote {TABLE}");
     }
     Ok(passed)
@@ -309,7 +305,8 @@ fn poisson(python: &str, recording: &Recording) -> Result<Vec<(u32, Surface)>> {
     meshes
 }
 
-fn replace_table(text: &str, begin: &str, end: &str) -> Result<()> {
+/// Writes a table between its marks, behind a line with the version and a note on it.
+fn replace_table(note: &str, table: &str, begin: &str, end: &str) -> Result<()> {
     let path = Path::new(TABLE);
     let page = std::fs::read_to_string(path).map_err(|source| lumenmesh::Error::read(path, source))?;
     let Some(((before, _), (_, after))) = page.split_once(begin).zip(page.split_once(end)) else {
@@ -318,6 +315,7 @@ fn replace_table(text: &str, begin: &str, end: &str) -> Result<()> {
             std::io::Error::other("the marks of the table are missing"),
         ));
     };
-    let new = format!("{before}{text}{after}");
+    let version = env!("CARGO_PKG_VERSION");
+    let new = format!("{before}{begin}\nlumenmesh {version}{note}.\n\n{table}\n{end}{after}");
     write_atomically(path, |out| out.write_all(new.as_bytes()))
 }

@@ -95,7 +95,7 @@ impl<'a> Tube<'a> {
             let start = stretch * STRETCH;
             for k in start.max(first)..=(start + STRETCH - 1).min(last) {
                 let square_mm2 = self.axis.points_mm[k].distance_squared(point_mm);
-                if square_mm2 <= least_mm2 && nearest.is_none_or(|_| square_mm2 < least_mm2) {
+                if square_mm2 < least_mm2 {
                     (nearest, least_mm2) = (Some(k), square_mm2);
                 }
             }

@@ -252,7 +252,8 @@ impl Live {
     }
 
     /// Keeps all frames from now on, for [`finish`](Self::finish): 16 bytes for each point of a contour, and some 200 more for
-    /// each frame. Without this, the first 1024 are kept for a while, and memory grows with the vessel's length only.
+    /// each frame. Without this, the first 1024 are kept for a while, and memory grows with the vessel's length, by 16 bytes with
+    /// each frame too.
     ///
     /// # Errors
     /// [`Error::Recording`] where frames have come already.

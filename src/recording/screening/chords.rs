@@ -30,6 +30,13 @@ pub struct FixedChord {
     pub points: usize,
 }
 
+impl FixedChord {
+    /// Whether it lies within its contours, as one that was read from a file may not.
+    pub(super) fn is_sound(self) -> bool {
+        self.first < self.of && self.points <= self.of
+    }
+}
+
 impl fmt::Display for Chords {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { points, frames, fixed } = self;

@@ -87,6 +87,7 @@ impl LiveSweep {
     fn is_sound(&self, settings: &Settings) -> bool {
         let Some(first) = self.walls.first() else { return false };
         self.clock_s.is_finite()
+            && self.times_s.iter().flatten().all(|time_s| time_s.is_finite())
             && self.entered.len() <= MAX_ENTERED
             && self.walls.iter().enumerate().all(|(k, wall)| {
                 wall.is_sound(settings)

@@ -65,6 +65,7 @@ impl LiveScreening {
         kept == Some(self.kept.len())
             && self.screened <= self.came
             && self.named.iter().all(|number| *number < self.came)
+            && self.cleaning.chords.and_then(|chords| chords.fixed).is_none_or(|chord| chord.is_sound())
             && self.path.is_sound(self.screened)
     }
 
@@ -171,13 +172,44 @@ fn is_alike(before: &Cleaning, now: &Cleaning) -> bool {
     };
     let chords = [before, now].map(|cleaning| cleaning.chords.and_then(|chords| chords.fixed));
     let chords = match chords {
-        [Some(a), Some(b)] => {
-            let apart = (a.first + a.of - b.first) % a.of;
+        [Some(a), Some(b)] if a.of == b.of => {
+            let apart = a.first.abs_diff(b.first);
             let ends = [apart.min(a.of - apart), a.points.abs_diff(b.points)];
             let most = CHORD_TOLERANCE * a.points as f64;
-            a.of == b.of && ends.iter().all(|points| *points as f64 <= most)
+            ends.iter().all(|points| *points as f64 <= most)
         }
         [a, b] => a.is_none() && b.is_none(),
     };
     ring_downs && chords
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Chords, FixedChord};
+    use super::*;
+
+    fn with_chord(of: usize, first: usize, points: usize) -> Cleaning {
+        let fixed = Some(FixedChord { of, first, points });
+        Cleaning { chords: Some(Chords { fixed, ..Chords::default() }), ..Cleaning::default() }
+    }
+
+    #[test]
+    fn chords_are_alike_where_their_ends_nearly_are() {
+        let chord = with_chord(72, 70, 12);
+        // Behind the last point comes the first.
+        assert!(is_alike(&chord, &with_chord(72, 1, 12)) && is_alike(&chord, &with_chord(72, 69, 10)));
+        assert!(!is_alike(&chord, &with_chord(72, 60, 12)) && !is_alike(&chord, &with_chord(72, 70, 20)));
+        // Of contours with another number of points, such as those of another probe.
+        assert!(!is_alike(&chord, &with_chord(500, 480, 12)) && !is_alike(&chord, &Cleaning::default()));
+    }
+
+    #[test]
+    fn a_chord_beyond_its_contour_is_not_sound() {
+        for (of, first, points, is_sound) in
+            [(72, 70, 12, true), (0, 0, 0, false), (72, 72, 1, false), (72, 0, 73, false)]
+        {
+            let cleaning = with_chord(of, first, points);
+            assert_eq!(LiveScreening { cleaning, ..LiveScreening::default() }.is_sound(), is_sound);
+        }
+    }
 }
