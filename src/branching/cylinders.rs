@@ -4,19 +4,20 @@
 //! centreline to the merged vessel make a tube of it. The tubes are joined as those of sweeps are, and fitted to the echoes
 //! where they meet: no cylinder describes the wall there.
 
+use super::echoes::WorldEchoes;
 use super::fit::{self, NodeSupport, TubeFit};
 use super::join::{self, Joined, Origin};
 use super::report::{BranchesTimings, CylinderBranchesReport};
 use super::tree::BranchTree;
 use super::tube::Tube;
-use super::{nearest_node, part, world_echoes};
+use super::{nearest_node, part};
 use crate::cylinders::merge::MergedVessel;
 use crate::cylinders::{CylinderReconstruction, Engine, FittedCylinder};
 use crate::geometry::polyline::{lengths, station};
 use crate::numerics::robust::median;
 use crate::recording::Recording;
 use crate::settings::Settings;
-use crate::surface::{Locator, Surface};
+use crate::surface::{RayCaster, Surface};
 use crate::sweep::{Axis, BEYOND_RADII};
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -117,7 +118,7 @@ impl BranchedCylinders {
             supported,
         });
         let fits: Vec<TubeFit> = fits.collect();
-        let echoes = world_echoes(recording, settings, |k| tree.frame_branch[k].is_some());
+        let echoes = WorldEchoes::of(recording, settings, |k| tree.frame_branch[k].is_some());
         let support = fit::fit(&mut joined, &tubes, &fits, &echoes)?;
         let unsewn = joined.unsewn;
         let surface = with_arrays(joined, &tubes, &branches, &support);
@@ -322,12 +323,12 @@ fn merged_along(axis: &Axis, cylinders: &[FittedCylinder], settings: &Settings) 
 /// Of each node of a grid about an axis: the distance at which its ray meets the vessel, mm, and the vessel's nearest node
 /// there.
 fn seen_from(axis: &Axis, nodes: usize, vessel: &Surface, reach_mm: f64) -> Result<Vec<(f64, Option<u32>)>> {
-    let locator = Locator::new(vessel)?;
+    let caster = RayCaster::new(vessel)?;
     let look = |node: usize| {
         let (ring, theta_rad) = (node / nodes, TAU * (node % nodes) as f64 / nodes as f64);
         let origin = axis.points_mm[ring];
         let direction = axis.point_mm(ring, theta_rad, 1.0) - origin;
-        let Some((triangle, radius_mm)) = locator.cast(origin, direction, reach_mm) else {
+        let Some((triangle, radius_mm)) = caster.cast(origin, direction, reach_mm) else {
             return (0.0, None);
         };
         let there = origin + direction * radius_mm;

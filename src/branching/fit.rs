@@ -4,13 +4,14 @@
 //! u, which minimises `Σ w (d - u)² + λ ∫ (Δu)² dA`: d are the distances of the echoes to the surface, w Tukey's weights
 //! and λ the weight of bending in the sweeps, so that u is as smooth as they are. u is 0 where the grids begin.
 
+use super::echoes::{WorldEcho, WorldEchoes};
 use super::join::{Joined, Origin};
 use super::plate::{Laplacian, conjugate_gradients};
 use super::tube::Tube;
 use crate::Result;
 use crate::numerics::robust::{median, tukey_weight};
 use crate::surface::crossing::crossings;
-use crate::surface::{Locator, Surface};
+use crate::surface::{RayCaster, Surface};
 use crate::sweep::{MAX_ERROR_MEDIANS, MAX_ERROR_RADII, MAX_OFF_WALL, outward_bias_mm};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -42,17 +43,6 @@ pub(super) struct TubeFit<'a> {
     pub supported: &'a [bool],
 }
 
-/// An echo in the world.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct WorldEcho {
-    /// Where the probe looks from.
-    pub origin_mm: DVec3,
-    pub point_mm: DVec3,
-    /// Unit normal of its image.
-    pub image_normal: DVec3,
-    pub frame: u32,
-}
-
 /// What the echoes say of a node where tubes meet.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct NodeSupport {
@@ -68,7 +58,7 @@ pub(super) fn fit(
     joined: &mut Joined,
     tubes: &[Tube],
     fits: &[TubeFit],
-    echoes: &[WorldEcho],
+    echoes: &WorldEchoes,
 ) -> Result<Vec<Option<NodeSupport>>> {
     let mut support = vec![None; joined.origin.len()];
     let partings = joined.parting.iter().flatten().max().map_or(0, |last| last + 1);
@@ -157,25 +147,23 @@ impl Part {
     }
 
     /// The echoes within reach.
-    fn near(&self, echoes: &[WorldEcho]) -> Vec<WorldEcho> {
+    fn near(&self, echoes: &WorldEchoes) -> Vec<WorldEcho> {
         let Some([low, high]) = self.surface.bounding_box_mm() else { return Vec::new() };
         let reach = DVec3::splat(CUT_OFF * self.noise_mm);
-        let is_near =
-            |e: &&WorldEcho| e.point_mm.cmpge(low - reach).all() && e.point_mm.cmple(high + reach).all();
-        echoes.iter().filter(is_near).copied().collect()
+        echoes.within([low - reach, high + reach])
     }
 
     /// The echoes on the wall that the probe sees in their directions: not on the nearest, which across a thin wall between
     /// two branches may be the other branch's.
     fn project(&self, echoes: &[WorldEcho]) -> Result<Vec<Seen>> {
-        let locator = Locator::new(&self.surface)?;
+        let caster = RayCaster::new(&self.surface)?;
         let normals = self.surface.triangle_normals();
         let seen = echoes.par_iter().filter_map(|echo| {
             let ray = echo.point_mm - echo.origin_mm;
             let length_mm = ray.length();
             let direction = ray / length_mm;
             let range_mm = length_mm + CUT_OFF * self.noise_mm;
-            let (triangle, distance_mm) = locator.cast(echo.origin_mm, direction, range_mm)?;
+            let (triangle, distance_mm) = caster.cast(echo.origin_mm, direction, range_mm)?;
             let normal = normals[triangle as usize];
             if direction.dot(normal) < LEAST_COSINE {
                 return None;

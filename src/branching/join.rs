@@ -8,7 +8,7 @@ use super::tube::{Spot, Tube};
 use crate::Result;
 use crate::surface::marching::Lattice;
 use crate::surface::remesh::{Patches, remeshed};
-use crate::surface::{Groups, Surface, face_triangles};
+use crate::surface::{Groups, Surface, Topology, face_triangles};
 use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
@@ -18,6 +18,11 @@ use std::f64::consts::{PI, TAU};
 const NEAR_EDGES: f64 = 2.0;
 /// … and so many rings beside them.
 const BESIDE: usize = 2;
+/// How a cut is tried again as long as the union has defects: rings by which zones are widened, and the reach of smoothing
+/// in edges. Where two walls lie close to each other at the end of a zone, the cut goes through both; and where they touch
+/// again beside the parting, as noisy walls may, there is a tunnel between them, which smoothing closes.
+const TRIES: [(usize, f64); 9] =
+    [(0, 0.0), (2, 0.0), (4, 0.0), (8, 0.0), (16, 0.0), (0, 2.0), (2, 4.0), (4, 8.0), (8, 12.0)];
 /// Steps in which the part of a ring that lies inside another tube is found, and rings over which a tube is narrowed to it.
 const SHARES: usize = 10;
 const NARROWED: usize = 12;
@@ -57,6 +62,8 @@ struct Zone {
     last: usize,
     /// Tubes and rings near it.
     meets: Vec<(usize, usize)>,
+    /// Ends of the vessel in it.
+    open_ends: usize,
 }
 
 /// Joins tubes. `inner_ends` says which tubes the first and the last ring of each lie in; `None` at an end of the vessel.
@@ -65,14 +72,47 @@ pub(super) fn joined(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) -> R
     let tubes = &*tubes;
     let zones = zones(tubes, inner_ends);
     let partings = partings(&zones);
-    let patches = partings
-        .par_iter()
-        .map(|members| {
-            let zones: Vec<&Zone> = members.iter().map(|&z| &zones[z]).collect();
-            patch(tubes, &zones)
-        })
-        .collect::<Result<Vec<_>>>()?;
-    Ok(assembled(tubes, &zones, patches))
+    let room = room(tubes, &zones);
+    let patch_of = |members: &Vec<usize>| {
+        let tried = |(by, smoothed): (usize, f64)| {
+            let zone = |&z: &usize| {
+                let Zone { first, last, .. } = zones[z];
+                let [lowest, highest] = room[z];
+                let (first, last) = (first.saturating_sub(by).max(lowest), (last + by).min(highest));
+                Zone { first, last, ..zones[z].clone() }
+            };
+            Cut::of(tubes, members.iter().map(zone).collect(), smoothed)
+        };
+        let mut cut = tried(TRIES[0]);
+        for again in &TRIES[1..] {
+            if cut.defects == 0 {
+                break;
+            }
+            let other = tried(*again);
+            if other.defects < cut.defects {
+                cut = other;
+            }
+        }
+        cut.patch(tubes)
+    };
+    let patches = partings.par_iter().map(patch_of).collect::<Result<Vec<_>>>()?;
+    Ok(assembled(tubes, patches))
+}
+
+/// How far each zone may be widened: its lowest first and its highest last ring. One strip stays before an end of the vessel
+/// and between two zones.
+fn room(tubes: &[Tube], zones: &[Zone]) -> Vec<[usize; 2]> {
+    let of_zone = |(z, zone): (usize, &Zone)| {
+        let (low, high) = (*tubes[zone.tube].rings.start(), *tubes[zone.tube].rings.end());
+        let beside = |other: Option<&Zone>| other.filter(|other| other.tube == zone.tube).cloned();
+        let before = beside(z.checked_sub(1).map(|z| &zones[z]));
+        let after = beside(zones.get(z + 1));
+        // Each has half of the gap between them.
+        let lowest = before.map_or(low + 1, |before| (before.last + zone.first) / 2 + 1);
+        let highest = after.map_or(high.saturating_sub(1), |after| (zone.last + after.first) / 2);
+        [lowest.min(zone.first), highest.max(zone.last)]
+    };
+    zones.iter().enumerate().map(of_zone).collect()
 }
 
 /// Drops the rings that lie deep inside other tubes: up to the outermost ring that is wholly inside. Where none is, the
@@ -166,7 +206,11 @@ fn zones(tubes: &[Tube], inner_ends: &[[Option<usize>; 2]]) -> Vec<Zone> {
             let mut near: Vec<(usize, usize)> = meets[start - first..=end - first].concat();
             near.sort_unstable();
             near.dedup();
-            zones.push(Zone { tube: number, first: zone_first, last: zone_last, meets: near });
+            let is_open =
+                |end: usize, ring: usize, limit: usize| ring == limit && inner_ends[number][end].is_none();
+            let open_ends =
+                usize::from(is_open(0, zone_first, first)) + usize::from(is_open(1, zone_last, last));
+            zones.push(Zone { tube: number, first: zone_first, last: zone_last, meets: near, open_ends });
             k = end + 1;
         }
     }
@@ -193,9 +237,25 @@ fn partings(zones: &[Zone]) -> Vec<Vec<usize>> {
 
 /// The union's surface about one parting, up to the rings that stay.
 struct Patch {
+    zones: Vec<Zone>,
     surface: Surface,
     origin: Vec<(usize, Spot)>,
     unsewn: usize,
+}
+
+/// The same as it was found and cut off, before its triangles are made even.
+struct Cut {
+    zones: Vec<Zone>,
+    /// The tubes that meet.
+    members: Vec<usize>,
+    edge_mm: f64,
+    surface: Surface,
+    /// The nodes of the rings that it is sewn to.
+    fixed: Vec<u32>,
+    /// Rings without a rim to sew to.
+    unsewn: usize,
+    /// These, rims that belong to no ring and no end of the vessel, and tunnels.
+    defects: usize,
 }
 
 /// A ring of a grid that a patch is sewn to.
@@ -207,108 +267,156 @@ struct Seam {
     below: bool,
 }
 
-/// The union's surface about the zones of one parting.
-fn patch(tubes: &[Tube], zones: &[&Zone]) -> Result<Patch> {
-    let mut members: Vec<usize> = zones.iter().map(|zone| zone.tube).collect();
-    members.sort_unstable();
-    members.dedup();
-    let edge_mm = cell_edge_mm(members.iter().map(|&t| &tubes[t]));
-    let far_mm = FAR_EDGES * edge_mm;
-    let nearest = |p: DVec3| -> Option<(usize, Spot)> {
-        let spots = members.iter().filter_map(|&t| Some((t, tubes[t].spot(p)?)));
-        spots.min_by(|a, b| a.1.outside_mm.total_cmp(&b.1.outside_mm).then(a.0.cmp(&b.0)))
-    };
-    let field = |p: DVec3| nearest(p).map_or(far_mm, |(_, spot)| spot.outside_mm.clamp(-far_mm, far_mm));
+/// The tube with the nearest wall, and the place there.
+fn nearest(tubes: &[Tube], members: &[usize], p: DVec3) -> Option<(usize, Spot)> {
+    let spots = members.iter().filter_map(|&t| Some((t, tubes[t].spot(p)?)));
+    spots.min_by(|a, b| a.1.outside_mm.total_cmp(&b.1.outside_mm).then(a.0.cmp(&b.0)))
+}
 
-    let first = zones[0];
-    let tube = &tubes[first.tube];
-    let lattice = Lattice { origin_mm: tube.node_mm(first.first, 0), step_mm: DVec3::splat(edge_mm) };
-    let mut cells: Vec<I64Vec3> = zones
-        .par_iter()
-        .flat_map_iter(|zone| {
-            let tube = &tubes[zone.tube];
-            let low = zone.first.saturating_sub(2).max(*tube.rings.start());
-            let high = (zone.last + 2).min(*tube.rings.end());
-            // As close as the cells, where those of a finer grid are smaller than a coarser grid's.
-            let parts = 2 * (tube.edge_mm / edge_mm).ceil() as usize;
-            let places =
-                (parts * low..=parts * high).flat_map(move |k| (0..parts * tube.nodes).map(move |j| (k, j)));
-            let mut cells: Vec<I64Vec3> = places
-                .map(|(k, j)| {
-                    let ring = k as f64 / parts as f64;
-                    let theta_rad = TAU * j as f64 / (parts * tube.nodes) as f64;
-                    lattice.cell(tube.axis.point_between_mm(ring, theta_rad, tube.radius_mm(ring, theta_rad)))
+/// The least of some distances, less by up to a quarter of the reach where the next is within that; far where there is none.
+fn smooth_least(distances_mm: impl Iterator<Item = f64>, reach_mm: f64) -> f64 {
+    let [least, next] =
+        distances_mm.fold(
+            [f64::INFINITY; 2],
+            |[least, next], d| {
+                if d < least { [d, least] } else { [least, next.min(d)] }
+            },
+        );
+    let near = if reach_mm > 0.0 { (1.0 - (next - least) / reach_mm).max(0.0) } else { 0.0 };
+    if near > 0.0 { least - 0.25 * reach_mm * near * near } else { least }
+}
+
+impl Cut {
+    /// The union's surface about the zones of one parting, smoothed over so many edges.
+    fn of(tubes: &[Tube], zones: Vec<Zone>, smoothed: f64) -> Self {
+        let mut members: Vec<usize> = zones.iter().map(|zone| zone.tube).collect();
+        members.sort_unstable();
+        members.dedup();
+        let edge_mm = cell_edge_mm(members.iter().map(|&t| &tubes[t]));
+        let far_mm = FAR_EDGES * edge_mm;
+        let nearest = |p: DVec3| nearest(tubes, &members, p);
+        let smoothed_mm = smoothed * edge_mm;
+        // Smoothing moves the wall by a quarter of its reach at most.
+        let around = 1 + (0.25 * smoothed).ceil() as i64;
+        let field = |p: DVec3| {
+            let distances = members.iter().filter_map(|&t| Some(tubes[t].spot(p)?.outside_mm));
+            smooth_least(distances, smoothed_mm).clamp(-far_mm, far_mm)
+        };
+
+        let first = &zones[0];
+        let tube = &tubes[first.tube];
+        let lattice = Lattice { origin_mm: tube.node_mm(first.first, 0), step_mm: DVec3::splat(edge_mm) };
+        let mut cells: Vec<I64Vec3> = zones
+            .par_iter()
+            .flat_map_iter(|zone| {
+                let tube = &tubes[zone.tube];
+                let low = zone.first.saturating_sub(2).max(*tube.rings.start());
+                let high = (zone.last + 2).min(*tube.rings.end());
+                // As close as the cells, where those of a finer grid are smaller than a coarser grid's.
+                let parts = 2 * (tube.edge_mm / edge_mm).ceil() as usize;
+                let places = (parts * low..=parts * high)
+                    .flat_map(move |k| (0..parts * tube.nodes).map(move |j| (k, j)));
+                let mut cells: Vec<I64Vec3> = places
+                    .map(|(k, j)| {
+                        let ring = k as f64 / parts as f64;
+                        let theta_rad = TAU * j as f64 / (parts * tube.nodes) as f64;
+                        lattice.cell(tube.axis.point_between_mm(
+                            ring,
+                            theta_rad,
+                            tube.radius_mm(ring, theta_rad),
+                        ))
+                    })
+                    .collect();
+                cells.sort_unstable_by_key(I64Vec3::to_array);
+                cells.dedup();
+                cells
+            })
+            .flat_map_iter(|cell| {
+                let side = 2 * around + 1;
+                let offset = move |k: i64| I64Vec3::new(k % side, k / side % side, k / side / side) - around;
+                (0..side * side * side).map(move |k| cell + offset(k))
+            })
+            .collect();
+        cells.par_sort_unstable_by_key(I64Vec3::to_array);
+        cells.dedup();
+        let whole = lattice.zero_surface(&cells, field);
+
+        // Rings within the zones, and half a ring off those that stay.
+        let within = |(tube, spot): (usize, Spot)| -> f64 {
+            let of_tube = zones.iter().filter(|zone| zone.tube == tube);
+            let inside = of_tube.map(|zone| {
+                let low = if zone.first == *tubes[tube].rings.start() {
+                    f64::INFINITY
+                } else {
+                    spot.ring - zone.first as f64 - 0.5
+                };
+                let end = zone.last as f64 - 0.5;
+                low.min(end - spot.ring)
+            });
+            inside.fold(-1.0, f64::max)
+        };
+        let inside: Vec<f64> = whole.nodes_mm.par_iter().map(|p| nearest(*p).map_or(-1.0, within)).collect();
+        let mut surface = largest_part(&whole.clipped(&inside));
+        let mut seams: Vec<Seam> = Vec::new();
+        for zone in &zones {
+            let rings = &tubes[zone.tube].rings;
+            if zone.first > *rings.start() {
+                seams.push(Seam { tube: zone.tube, ring: zone.first, below: false });
+            }
+            if zone.last < *rings.end() {
+                seams.push(Seam { tube: zone.tube, ring: zone.last, below: true });
+            }
+        }
+        let mut fixed = Vec::new();
+        let mut rims = surface.rims();
+        let mut unsewn = 0;
+        for seam in seams {
+            let edge = if seam.below { seam.ring as f64 - 0.5 } else { seam.ring as f64 + 0.5 };
+            let at = |node: u32| {
+                let spot = nearest(surface.nodes_mm[node as usize]);
+                spot.is_some_and(|(tube, spot)| tube == seam.tube && (spot.ring - edge).abs() < 0.25)
+            };
+            // Beside the rim there may be small holes.
+            let at_seam = rims.iter().map(|rim| rim.iter().filter(|&&n| at(n)).count()).enumerate();
+            let most = at_seam.max_by(|a, b| a.1.cmp(&b.1).then(b.0.cmp(&a.0)));
+            let Some((which, _)) = most.filter(|&(which, count)| 2 * count > rims[which].len()) else {
+                unsewn += 1;
+                continue;
+            };
+            let rim = rims.swap_remove(which);
+            let theta: Vec<f64> = rim
+                .iter()
+                .map(|&n| {
+                    tubes[seam.tube].spot(surface.nodes_mm[n as usize]).map_or(0.0, |spot| spot.theta_rad)
                 })
                 .collect();
-            cells.sort_unstable_by_key(I64Vec3::to_array);
-            cells.dedup();
-            cells
-        })
-        .flat_map_iter(|cell| (0..27).map(move |k| cell + I64Vec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1)))
-        .collect();
-    cells.par_sort_unstable_by_key(I64Vec3::to_array);
-    cells.dedup();
-    let whole = lattice.zero_surface(&cells, field);
+            fixed.extend(sew(&mut surface, &tubes[seam.tube], seam, &rim, &theta));
+        }
+        let open_ends: usize = zones.iter().map(|zone| zone.open_ends).sum();
+        let holes = rims.len().saturating_sub(open_ends);
+        let Topology { components, boundary_loops, euler_characteristic, .. } = surface.topology();
+        let of_tunnels = 2 * components as i64 - boundary_loops as i64 - euler_characteristic;
+        let defects = unsewn + holes + (of_tunnels.max(0) / 2) as usize;
+        Self { zones, members, edge_mm, surface, fixed, unsewn, defects }
+    }
 
-    // Rings within the zones, and half a ring off those that stay.
-    let within = |(tube, spot): (usize, Spot)| -> f64 {
-        let of_tube = zones.iter().filter(|zone| zone.tube == tube);
-        let inside = of_tube.map(|zone| {
-            let low = if zone.first == *tubes[tube].rings.start() {
-                f64::INFINITY
-            } else {
-                spot.ring - zone.first as f64 - 0.5
-            };
-            let end = zone.last as f64 - 0.5;
-            low.min(end - spot.ring)
-        });
-        inside.fold(-1.0, f64::max)
-    };
-    let inside: Vec<f64> = whole.nodes_mm.par_iter().map(|p| nearest(*p).map_or(-1.0, within)).collect();
-    let mut surface = largest_part(&whole.clipped(&inside));
-    let mut seams: Vec<Seam> = Vec::new();
-    for zone in zones {
-        let rings = &tubes[zone.tube].rings;
-        if zone.first > *rings.start() {
-            seams.push(Seam { tube: zone.tube, ring: zone.first, below: false });
-        }
-        if zone.last < *rings.end() {
-            seams.push(Seam { tube: zone.tube, ring: zone.last, below: true });
-        }
-    }
-    let mut fixed = Vec::new();
-    let mut rims = surface.rims();
-    let mut unsewn = 0;
-    for seam in seams {
-        let edge = if seam.below { seam.ring as f64 - 0.5 } else { seam.ring as f64 + 0.5 };
-        let at = |node: u32| {
-            let spot = nearest(surface.nodes_mm[node as usize]);
-            spot.is_some_and(|(tube, spot)| tube == seam.tube && (spot.ring - edge).abs() < 0.25)
+    /// Makes the triangles even.
+    fn patch(self, tubes: &[Tube]) -> Result<Patch> {
+        let Self { zones, members, edge_mm, surface, fixed, unsewn, .. } = self;
+        let nearest = |p: DVec3| nearest(tubes, &members, p);
+        let triangles = surface.triangles.len();
+        let patches = Patches {
+            nodes_mm: surface.nodes_mm,
+            triangles: surface.triangles,
+            patch: vec![0; triangles],
+            fixed,
         };
-        let is_of_seam = |rim: &Vec<u32>| 2 * rim.iter().filter(|&&n| at(n)).count() > rim.len();
-        let Some(which) = rims.iter().position(is_of_seam) else {
-            unsewn += 1;
-            continue;
-        };
-        let rim = rims.swap_remove(which);
-        let theta: Vec<f64> = rim
-            .iter()
-            .map(|&n| tubes[seam.tube].spot(surface.nodes_mm[n as usize]).map_or(0.0, |spot| spot.theta_rad))
-            .collect();
-        fixed.extend(sew(&mut surface, &tubes[seam.tube], seam, &rim, &theta));
+        let wanted = |p: DVec3| nearest(p).map_or(edge_mm, |(t, _)| tubes[t].edge_mm);
+        let even = remeshed(&patches, &wanted, ROUNDS)?.surface();
+        let fallback = (members[0], Spot { ring: 0.0, theta_rad: 0.0, outside_mm: 0.0 });
+        let origin = even.nodes_mm.par_iter().map(|p| nearest(*p).unwrap_or(fallback)).collect();
+        Ok(Patch { zones, surface: even, origin, unsewn })
     }
-    let triangles = surface.triangles.len();
-    let patches = Patches {
-        nodes_mm: surface.nodes_mm,
-        triangles: surface.triangles,
-        patch: vec![0; triangles],
-        fixed,
-    };
-    let wanted = |p: DVec3| nearest(p).map_or(edge_mm, |(t, _)| tubes[t].edge_mm);
-    let even = remeshed(&patches, &wanted, ROUNDS)?.surface();
-    let fallback = (members[0], Spot { ring: 0.0, theta_rad: 0.0, outside_mm: 0.0 });
-    let origin = even.nodes_mm.par_iter().map(|p| nearest(*p).unwrap_or(fallback)).collect();
-    Ok(Patch { surface: even, origin, unsewn })
 }
 
 /// Edge of a cell of the lattice, mm: nearly that of the coarsest grid, but not too long for the smallest lumen. Remeshing
@@ -372,7 +480,7 @@ fn sew(surface: &mut Surface, tube: &Tube, seam: Seam, rim: &[u32], theta_rad: &
 }
 
 /// The rings that stay, and the patches.
-fn assembled(tubes: &[Tube], zones: &[Zone], patches: Vec<Patch>) -> Joined {
+fn assembled(tubes: &[Tube], patches: Vec<Patch>) -> Joined {
     let mut joined = Joined {
         surface: Surface::default(),
         origin: Vec::new(),
@@ -382,7 +490,8 @@ fn assembled(tubes: &[Tube], zones: &[Zone], patches: Vec<Patch>) -> Joined {
     let mut at_place: HashMap<[u64; 3], u32> = HashMap::new();
     let place = |p: DVec3| p.to_array().map(f64::to_bits);
     for (number, tube) in tubes.iter().enumerate() {
-        let of_tube: Vec<&Zone> = zones.iter().filter(|zone| zone.tube == number).collect();
+        let zones = patches.iter().flat_map(|patch| &patch.zones);
+        let of_tube: Vec<&Zone> = zones.filter(|zone| zone.tube == number).collect();
         // Whether the strip between a ring and the next stays.
         let stays = |k: usize| !of_tube.iter().any(|zone| zone.first <= k && k < zone.last);
         let rings = tube.rings.clone();

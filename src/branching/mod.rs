@@ -5,6 +5,7 @@
 //! published method.
 
 mod cylinders;
+mod echoes;
 mod fit;
 mod join;
 mod mouths;
@@ -20,13 +21,14 @@ pub use report::{
 };
 pub use tree::{BranchPath, BranchTree, Dismissed};
 
-use crate::recording::{Frame, Recording};
+use crate::recording::Recording;
 use crate::settings::Settings;
 use crate::surface::Surface;
-use crate::sweep::{StageProgress, Support, Sweep};
+use crate::sweep::{StageProgress, Support, Sweep, WallDevice};
 use crate::{Error, Result};
-use fit::{NodeSupport, TubeFit, WorldEcho};
-use glam::{DVec2, DVec3};
+use echoes::WorldEchoes;
+use fit::{NodeSupport, TubeFit};
+use glam::DVec3;
 use join::{Joined, Origin};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -51,6 +53,7 @@ pub struct BranchedSweep {
     /// The reconstruction in numbers.
     pub report: BranchesReport,
     whole: Surface,
+    supported: Surface,
 }
 
 impl BranchedSweep {
@@ -60,6 +63,16 @@ impl BranchedSweep {
     /// # Errors
     /// As [`Sweep::of`].
     pub fn of(recording: &Recording, settings: &Settings, progress: &StageProgress) -> Result<Option<Self>> {
+        Self::with_device(recording, settings, progress, &WallDevice::default())
+    }
+
+    /// As [`BranchedSweep::of`]; where a device fits walls it is this one.
+    pub(crate) fn with_device(
+        recording: &Recording,
+        settings: &Settings,
+        progress: &StageProgress,
+        device: &WallDevice,
+    ) -> Result<Option<Self>> {
         settings.validate()?;
         recording.check()?;
         let start = Instant::now();
@@ -71,7 +84,7 @@ impl BranchedSweep {
             if tree.is_single() {
                 return Ok(None);
             }
-            match swept(recording, &tree, settings, progress)? {
+            match swept(recording, &tree, settings, progress, device)? {
                 Ok(sweeps) => break sweeps,
                 Err((number, why)) => tree = tree.without(number, format!("it cannot be swept: {why}")),
             }
@@ -95,7 +108,7 @@ impl BranchedSweep {
         let join_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let fits: Vec<TubeFit> = sweeps.iter().map(tube_fit).collect();
-        let echoes = world_echoes(recording, settings, |k| tree.frame_branch[k].is_some());
+        let echoes = WorldEchoes::of(recording, settings, |k| tree.frame_branch[k].is_some());
         let support = fit::fit(&mut joined, &tubes, &fits, &echoes)?;
         let unsewn = joined.unsewn;
         let of_tubes: Vec<Vec<(DVec3, bool)>> = sweeps.iter().map(flattened).collect();
@@ -109,15 +122,16 @@ impl BranchedSweep {
         let mouths = open_mouths(&mut whole, flat, &of, &echoes)?;
         let fit_s = start.elapsed().as_secs_f64();
         let seconds = BranchesTimings { tree: tree_s, branches: branches_s, join: join_s, fit: fit_s };
-        let report = BranchesReport::of(recording, &tree, &sweeps, &whole, unsewn, seconds);
-        Ok(Some(Self { tree, sweeps, mouths, report, whole }))
+        let supported = supported_part(&whole);
+        let report = BranchesReport::of(recording, &tree, &sweeps, [&whole, &supported], unsewn, seconds);
+        Ok(Some(Self { tree, sweeps, mouths, report, whole, supported }))
     }
 
     /// The vessel as one triangle surface, normals outward, open at its ends; without the nodes that are not supported,
     /// and parts of less than 1 % of the triangles that this cuts off, unless `keep_unsupported`. Arrays as those of [`Sweep::surface`], and `branch`: the place in [`BranchTree::branches`].
     /// Away from partings the nodes are those of the branches' own grids.
     pub fn surface(&self, keep_unsupported: bool) -> Surface {
-        if keep_unsupported { self.whole.clone() } else { supported_part(&self.whole) }
+        if keep_unsupported { self.whole.clone() } else { self.supported.clone() }
     }
 }
 
@@ -134,7 +148,7 @@ pub(crate) fn open_mouths_of(
         return Ok(Vec::new());
     }
     let is_folded = |k: usize| sweep.report.folded_frames.contains(&recording.number(k));
-    let echoes = world_echoes(recording, settings, |k| !is_folded(k));
+    let echoes = WorldEchoes::of(recording, settings, |k| !is_folded(k));
     let mut whole = sweep.surface(true);
     let mouths = open_mouths(&mut whole, flattened(sweep), &[sweep], &echoes)?;
     if let Some(supported) = whole.array("supported").filter(|_| !mouths.is_empty()) {
@@ -161,7 +175,7 @@ fn open_mouths(
     whole: &mut Surface,
     flat: Vec<(DVec3, bool)>,
     sweeps: &[&Sweep],
-    echoes: &[WorldEcho],
+    echoes: &WorldEchoes,
 ) -> Result<Vec<Mouth>> {
     let nodes = whole.nodes_mm.len();
     let (nodes_mm, is_bulging) = flat.into_iter().unzip();
@@ -204,6 +218,7 @@ fn swept(
     tree: &BranchTree,
     settings: &Settings,
     progress: &StageProgress,
+    device: &WallDevice,
 ) -> Result<std::result::Result<Vec<Sweep>, (usize, String)>> {
     let count = tree.branches.len();
     let reached: Vec<AtomicUsize> = (0..count).map(|_| AtomicUsize::new(0)).collect();
@@ -214,7 +229,7 @@ fn swept(
             let done = reached.iter().map(|reached| reached.load(Ordering::Relaxed)).sum();
             progress(stage, done, count * total)
         };
-        Sweep::run(&part, settings, &tell)
+        Sweep::run_with(&part, settings, &tell, device)
     };
     let found: Vec<Result<Sweep>> = (0..count).into_par_iter().map(sweep).collect();
     let mut sweeps = Vec::new();
@@ -245,40 +260,6 @@ fn tube_fit(sweep: &Sweep) -> TubeFit<'_> {
         standard_error_mm: &sweep.support.standard_error_mm,
         supported: &sweep.support.supported,
     }
-}
-
-/// The echoes of the frames that are used, in the world.
-fn world_echoes(
-    recording: &Recording,
-    settings: &Settings,
-    is_used: impl Fn(usize) -> bool + Sync + Send,
-) -> Vec<WorldEcho> {
-    let sensor_from_probe = settings.calibration.sensor_from_probe();
-    let used = recording.frames.par_iter().enumerate().filter(|(k, _)| is_used(*k));
-    used.flat_map_iter(|(k, frame)| {
-        let pose = frame.world_from_sensor * sensor_from_probe;
-        // Contours that do not go round the probe are seen from their middle.
-        let origin =
-            if goes_round_probe(frame) { DVec2::ZERO } else { frame.centroid_mm().unwrap_or(DVec2::ZERO) };
-        let place = move |p: DVec2| pose.transform_point(p.extend(0.0));
-        let origin_mm = place(origin);
-        let image_normal = pose.rotation.z_axis;
-        frame.echoes_mm().map(move |p| WorldEcho {
-            origin_mm,
-            point_mm: place(p),
-            image_normal,
-            frame: k as u32,
-        })
-    })
-    .collect()
-}
-
-/// Whether a contour encloses the probe.
-fn goes_round_probe(frame: &Frame) -> bool {
-    let points: Vec<DVec2> = frame.echoes_mm().collect();
-    let next = points.iter().cycle().skip(1);
-    let turn: f64 = points.iter().zip(next).map(|(a, b)| a.angle_to(*b)).sum();
-    turn.abs() > std::f64::consts::PI
 }
 
 /// The node of a tube's grid nearest to a place on its wall.

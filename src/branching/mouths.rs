@@ -4,7 +4,7 @@
 //! plate that bends as little as possible, and a tube is fitted to the branch: every echo about the place should lie on the
 //! wall or on the tube. The mouth is the part of the continued wall within the tube.
 
-use super::fit::WorldEcho;
+use super::echoes::{WorldEcho, WorldEchoes};
 use super::plate::{Laplacian, conjugate_gradients};
 use super::tube::Tube;
 use crate::Result;
@@ -12,7 +12,7 @@ use crate::cylinders::estimate::local_tube::{Change, LocalTube, PARAMETERS};
 use crate::geometry::Pose;
 use crate::numerics::cholesky::{Matrix, cholesky, solve};
 use crate::numerics::robust::{huber_weight, tukey_weight};
-use crate::surface::{Groups, Locator, Surface};
+use crate::surface::{Groups, RayCaster, Surface};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -150,15 +150,15 @@ pub(super) fn flattened(tube: &Tube, lumen_mm: f64, noise_mm: f64) -> Vec<(f64, 
 }
 
 /// Finds the mouths in a wall; gives each with the nodes of the wall within its rim.
-pub(super) fn find(wall: &Wall, echoes: &[WorldEcho]) -> Result<Vec<(Mouth, Vec<u32>)>> {
+pub(super) fn find(wall: &Wall, echoes: &WorldEchoes) -> Result<Vec<(Mouth, Vec<u32>)>> {
     let neighbours = wall.surface.neighbours();
-    let every = |most: usize| echoes.len().div_ceil(most).max(1);
     // Most vessels have no mouth: a part of the echoes says so.
-    let few = sights(wall, echoes, every(FEW_SIGHTS))?;
+    let caster = RayCaster::new(wall.surface)?;
+    let few = sights(wall, &caster, &echoes.at_most(FEW_SIGHTS));
     if suspects(wall, &few, &neighbours).is_empty() {
         return Ok(Vec::new());
     }
-    let sights = sights(wall, echoes, every(MOST_SIGHTS))?;
+    let sights = sights(wall, &caster, &echoes.at_most(MOST_SIGHTS));
     let mut mouths: Vec<(Mouth, Vec<u32>)> = Vec::new();
     let mut tubes: Vec<LocalTube> = Vec::new();
     for suspect in suspects(wall, &sights, &neighbours) {
@@ -166,7 +166,7 @@ pub(super) fn find(wall: &Wall, echoes: &[WorldEcho]) -> Result<Vec<(Mouth, Vec<
         if tubes.iter().any(is_known) {
             continue;
         }
-        if let Some((mouth, nodes, tube)) = suspect.mouth(wall, echoes, &sights, &neighbours)? {
+        if let Some((mouth, nodes, tube)) = suspect.mouth(wall, &sights, &neighbours)? {
             mouths.push((mouth, nodes));
             tubes.push(tube);
         }
@@ -177,8 +177,7 @@ pub(super) fn find(wall: &Wall, echoes: &[WorldEcho]) -> Result<Vec<(Mouth, Vec<
 /// Where the ray of an echo meets the wall.
 #[derive(Debug, Clone, Copy)]
 struct Sight {
-    /// Place of the echo in the list.
-    echo: usize,
+    echo: WorldEcho,
     /// The nearest node of the wall.
     node: u32,
     /// How far the echo lies beyond the wall, along its normal, mm.
@@ -192,20 +191,19 @@ impl Sight {
     }
 }
 
-/// Where the rays of every so many echoes leave the vessel.
-fn sights(wall: &Wall, echoes: &[WorldEcho], every: usize) -> Result<Vec<Sight>> {
-    let locator = Locator::new(wall.surface)?;
+/// Where the rays of echoes leave the vessel.
+fn sights(wall: &Wall, caster: &RayCaster, echoes: &[WorldEcho]) -> Vec<Sight> {
     let normals = wall.surface.triangle_normals();
     let noise_mm = wall.noise_mm.iter().copied().fold(0.0, f64::max);
-    let sight = |(echo, sight): (usize, &WorldEcho)| {
+    let sight = |echo: &WorldEcho| {
         let Crossing { triangle, at_mm, depth_mm } =
-            Crossing::of(&locator, &normals, sight, WITHIN_SDS * noise_mm)?;
+            Crossing::of(caster, &normals, echo, WITHIN_SDS * noise_mm)?;
         let distance = |n: &u32| wall.surface.nodes_mm[*n as usize].distance_squared(at_mm);
         let corners = wall.surface.triangles[triangle as usize];
         let node = corners.into_iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
-        Some(Sight { echo, node, depth_mm })
+        Some(Sight { echo: *echo, node, depth_mm })
     };
-    Ok(echoes.par_iter().enumerate().step_by(every).filter_map(sight).collect())
+    echoes.par_iter().filter_map(sight).collect()
 }
 
 /// Where a ray meets a surface from within.
@@ -216,11 +214,11 @@ struct Crossing {
 }
 
 impl Crossing {
-    fn of(locator: &Locator, normals: &[DVec3], echo: &WorldEcho, within_mm: f64) -> Option<Self> {
+    fn of(caster: &RayCaster, normals: &[DVec3], echo: &WorldEcho, within_mm: f64) -> Option<Self> {
         let ray = echo.point_mm - echo.origin_mm;
         let length_mm = ray.length();
         let direction = ray.try_normalize()?;
-        let (triangle, distance_mm) = locator.cast(echo.origin_mm, direction, length_mm + within_mm)?;
+        let (triangle, distance_mm) = caster.cast(echo.origin_mm, direction, length_mm + within_mm)?;
         let normal = normals[triangle as usize];
         let at_mm = echo.origin_mm + direction * distance_mm;
         (direction.dot(normal) > 0.0).then(|| Self {
@@ -537,14 +535,13 @@ impl Suspect {
     fn mouth(
         &self,
         wall: &Wall,
-        echoes: &[WorldEcho],
         sights: &[Sight],
         neighbours: &[Vec<u32>],
     ) -> Result<Option<(Mouth, Vec<u32>, LocalTube)>> {
         let (noise_mm, lumen_mm) = (wall.noise_mm[self.branch], wall.radius_mm[self.branch]);
         let mut open: BTreeSet<u32> = self.nodes.iter().copied().collect();
         let own = sights.iter().filter(|sight| sight.is_beyond(wall) && open.contains(&sight.node));
-        let own: Vec<&WorldEcho> = own.map(|sight| &echoes[sight.echo]).collect();
+        let own: Vec<&WorldEcho> = own.map(|sight| &sight.echo).collect();
         let frames: BTreeSet<u32> = own.iter().map(|echo| echo.frame).collect();
         if own.len() < LEAST_ECHOES || frames.len() < LEAST_FRAMES {
             return Ok(None);
@@ -556,7 +553,7 @@ impl Suspect {
         // From the second time on the wall is continued across the mouth that was found.
         for _ in 0..ROUNDS {
             let patch = Patch::about(wall, &open, radius_mm, neighbours);
-            let looks = looks(&patch, echoes, sights, noise_mm, lumen_mm, radius_mm)?;
+            let looks = looks(&patch, sights, noise_mm, lumen_mm, radius_mm)?;
             let branch = Branch { looks: &looks, noise_mm, radius_mm, centre_mm: self.centre_mm };
             let all = |_: u32| true;
             let fits = starts.iter().filter_map(|start| branch.fitted(*start, &all));
@@ -620,24 +617,17 @@ impl Suspect {
 }
 
 /// The echoes whose rays meet the continued wall of a patch.
-fn looks(
-    patch: &Patch,
-    echoes: &[WorldEcho],
-    sights: &[Sight],
-    noise_mm: f64,
-    lumen_mm: f64,
-    radius_mm: f64,
-) -> Result<Vec<Look>> {
+fn looks(patch: &Patch, sights: &[Sight], noise_mm: f64, lumen_mm: f64, radius_mm: f64) -> Result<Vec<Look>> {
     let of_patch: BTreeSet<u32> = patch.nodes.iter().copied().collect();
     let near: Vec<&Sight> = sights.iter().filter(|sight| of_patch.contains(&sight.node)).collect();
-    let locator = Locator::new(&patch.surface)?;
+    let caster = RayCaster::new(&patch.surface)?;
     let normals = patch.surface.triangle_normals();
     let deepest_mm = (DEPTH_RADII * radius_mm).max(DEPTH_SDS * noise_mm);
     let edge_mm = (EDGE_SDS * noise_mm).max(EDGE_RADII * lumen_mm);
     let every = near.len().div_ceil(MOST_ECHOES).max(1);
     let look = |sight: &&Sight| {
-        let echo = &echoes[sight.echo];
-        let Crossing { at_mm, depth_mm, .. } = Crossing::of(&locator, &normals, echo, WITHIN_SDS * noise_mm)?;
+        let echo = &sight.echo;
+        let Crossing { at_mm, depth_mm, .. } = Crossing::of(&caster, &normals, echo, WITHIN_SDS * noise_mm)?;
         let share = depth_mm.max(0.0) / deepest_mm;
         (share < 1.0).then(|| Look {
             point_mm: echo.point_mm,

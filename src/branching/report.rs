@@ -74,7 +74,7 @@ impl BranchesReport {
         recording: &Recording,
         tree: &BranchTree,
         sweeps: &[Sweep],
-        whole: &Surface,
+        [whole, supported]: [&Surface; 2],
         unsewn: usize,
         seconds: BranchesTimings,
     ) -> Self {
@@ -84,16 +84,16 @@ impl BranchesReport {
             reason: path.reason(),
             sweep: sweep.report.clone(),
         };
-        let supported = whole.array("supported").unwrap_or_default();
+        let is_supported = whole.array("supported").unwrap_or_default();
         Self {
             branches: tree.branches.iter().zip(sweeps).map(branch).collect(),
             dismissed: tree.dismissed.clone(),
             frames: recording.frames.len(),
             frames_left_out: left_out(recording, tree),
             nodes: whole.nodes_mm.len(),
-            supported: supported.iter().filter(|&&is| is > 0.5).count(),
+            supported: is_supported.iter().filter(|&&is| is > 0.5).count(),
             unsewn,
-            topology: super::supported_part(whole).topology(),
+            topology: supported.topology(),
             seconds,
         }
     }

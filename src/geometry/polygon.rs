@@ -1,4 +1,4 @@
-//! Area and area centroid of a polygon, and the triangles that fill it.
+//! Area and area centroid of a polygon, how often it goes round a point, and the triangles that fill it.
 
 use glam::{DVec2, DVec3};
 use spade::handles::FixedVertexHandle;
@@ -31,6 +31,18 @@ pub(crate) fn twice_area_and_moment(points: impl Iterator<Item = DVec2> + Clone)
         let cross = a.perp_dot(b);
         (twice_area + cross, moment + (a + b) * cross)
     })
+}
+
+/// How often a closed polygon goes round the origin; negative where it does so clockwise.
+pub(crate) fn turns_about_origin(points: &[DVec2]) -> i32 {
+    let next = points.iter().cycle().skip(1);
+    // A ray from the origin along x crosses the polygon so often from below and from above.
+    let crossing = |(a, b): (&DVec2, &DVec2)| match (a.y <= 0.0, b.y <= 0.0) {
+        (true, false) => i32::from(a.perp_dot(*b) > 0.0),
+        (false, true) => -i32::from(a.perp_dot(*b) < 0.0),
+        _ => 0,
+    };
+    points.iter().zip(next).map(crossing).sum()
 }
 
 /// The triangles that fill a polygon in space, as places among its corners, each running round the way that the polygon
@@ -143,6 +155,20 @@ mod tests {
     use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn turns_about_the_origin_are_counted_with_their_sense() {
+        let round = |turns: i32, centre: DVec2| -> Vec<DVec2> {
+            let angle = |k: i32| std::f64::consts::TAU * f64::from(turns * k) / 40.0;
+            (0..40).map(|k| centre + DVec2::from_angle(angle(k) + 0.1)).collect()
+        };
+        for turns in [-2, -1, 1, 2, 3] {
+            assert_eq!(turns_about_origin(&round(turns, DVec2::new(0.5, -0.3))), turns);
+            assert_eq!(turns_about_origin(&round(turns, DVec2::new(0.9, 0.9))), 0);
+        }
+        assert_eq!(turns_about_origin(&[]), 0);
+        assert_eq!(turns_about_origin(&[DVec2::X]), 0);
+    }
 
     #[test]
     fn a_rectangle_has_its_area_and_centroid_in_both_directions() {

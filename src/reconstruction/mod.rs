@@ -14,13 +14,14 @@ use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, FittedCy
 use crate::recording::{Recording, Screened, Screening};
 use crate::settings::{Branches, Method, Settings};
 use crate::surface::Surface;
-use crate::sweep::{Sweep, SweepReport};
+use crate::sweep::{Sweep, SweepReport, WallDevice};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
-/// Reconstructs the lumen of recordings. The engine that fits the cylinders is started once and kept for further runs.
+/// Reconstructs the lumen of recordings. The engine that fits the cylinders, and the device that fits walls, are started once
+/// and kept for further runs.
 ///
 /// ```no_run
 /// use lumenmesh::reconstruction::Reconstructor;
@@ -43,6 +44,7 @@ pub struct Reconstructor<'a> {
     history: bool,
     on_progress: Box<dyn Fn(Progress) -> ControlFlow<()> + Send + Sync + 'a>,
     engine: OnceLock<Box<dyn Engine>>,
+    wall_device: WallDevice,
 }
 
 /// How far a reconstruction has come.
@@ -65,6 +67,7 @@ impl<'a> Reconstructor<'a> {
             history: false,
             on_progress: Box::new(|_| ControlFlow::Continue(())),
             engine: OnceLock::new(),
+            wall_device: WallDevice::default(),
         }
     }
 
@@ -123,13 +126,17 @@ impl<'a> Reconstructor<'a> {
             Method::Sweep => {
                 let tell = |stage, done, total| (self.on_progress)(Progress { stage, done, total });
                 let branched = match self.settings.branches {
-                    Branches::Auto => BranchedSweep::of(recording, &self.settings, &tell).map_err(named)?,
+                    Branches::Auto => {
+                        BranchedSweep::with_device(recording, &self.settings, &tell, &self.wall_device)
+                            .map_err(named)?
+                    }
                     Branches::Off => None,
                 };
                 match branched {
                     Some(branched) => Vessel::Branches(branched),
                     None => {
-                        let mut sweep = Sweep::run(recording, &self.settings, &tell).map_err(named)?;
+                        let mut sweep = Sweep::run_with(recording, &self.settings, &tell, &self.wall_device)
+                            .map_err(named)?;
                         let mouths = match self.settings.branches {
                             Branches::Auto => {
                                 branching::open_mouths_of(recording, &self.settings, &mut sweep)?

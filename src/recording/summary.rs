@@ -129,10 +129,12 @@ fn between(frames: &[Frame], of: impl Fn(&Frame, &Frame) -> f64) -> Vec<f64> {
 }
 
 pub(super) fn min_median_max(numbers: impl IntoIterator<Item = f64>) -> Option<MinMedianMax> {
-    let mut sorted: Vec<f64> = numbers.into_iter().filter(|x| x.is_finite()).collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let median = *sorted.get(sorted.len() / 2)?;
-    Some(MinMedianMax { min: *sorted.first()?, median, max: *sorted.last()? })
+    let mut numbers: Vec<f64> = numbers.into_iter().filter(|x| x.is_finite()).collect();
+    let min = numbers.iter().copied().min_by(f64::total_cmp)?;
+    let max = numbers.iter().copied().max_by(f64::total_cmp)?;
+    let middle = numbers.len() / 2;
+    let (_, median, _) = numbers.select_nth_unstable_by(middle, f64::total_cmp);
+    Some(MinMedianMax { min, median: *median, max })
 }
 
 impl fmt::Display for MinMedianMax {

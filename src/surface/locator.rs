@@ -31,18 +31,24 @@ pub struct Closest {
     pub on_rim: bool,
 }
 
-/// Finds the closest point of a surface, and where rays meet it, through parry's tree of bounding boxes over its triangles.
+/// Finds where rays meet a surface, through parry's tree of bounding boxes over its triangles.
 ///
 /// The boxes are in single precision and a little too large; which triangle is nearest is decided in double precision.
 /// Triangles without area are left out: they have no normal, and their points lie on their neighbours' edges too.
 #[derive(Debug, Clone)]
-pub struct Locator {
+pub(crate) struct RayCaster {
     boxes: Boxes,
     corners_mm: Vec<[DVec3; 3]>,
-    /// The nodes of each triangle.
-    nodes: Vec<[u32; 3]>,
     /// Which triangle of the surface each one is, ascending.
     original: Vec<u32>,
+}
+
+/// Finds the closest point of a surface, and where rays meet it. Triangles without area are left out.
+#[derive(Debug, Clone)]
+pub struct Locator {
+    triangles: RayCaster,
+    /// The nodes of each triangle.
+    nodes: Vec<[u32; 3]>,
     face_normals: Vec<DVec3>,
     edge_normals: Vec<[DVec3; 3]>,
     node_normals: Vec<DVec3>,
@@ -50,14 +56,17 @@ pub struct Locator {
     rim_nodes: Vec<bool>,
 }
 
-impl Locator {
+impl RayCaster {
     /// Builds the tree.
     ///
     /// # Errors
-    /// [`Error::Surface`] where an index is out of range, a node is not finite or no triangle has an area.
-    pub fn new(surface: &Surface) -> Result<Self> {
+    /// As [`Locator::new`].
+    pub(crate) fn new(surface: &Surface) -> Result<Self> {
         surface.check()?;
-        let normals = surface.triangle_normals();
+        Self::with_normals(surface, &surface.triangle_normals())
+    }
+
+    fn with_normals(surface: &Surface, normals: &[DVec3]) -> Result<Self> {
         let original: Vec<u32> =
             (0..surface.triangles.len() as u32).filter(|&t| normals[t as usize] != DVec3::ZERO).collect();
         if original.is_empty() {
@@ -70,18 +79,50 @@ impl Locator {
         // Of triangles in one place the first is the nearest: the others would be searched in vain.
         let distinct = surface.distinct_triangles();
         let leaves = distinct.iter().filter_map(|t| original.binary_search(t).ok());
-        let nodes: Vec<[u32; 3]> = original.iter().map(|&t| surface.triangles[t as usize]).collect();
         let corners_mm: Vec<[DVec3; 3]> = original.iter().map(|&t| surface.corners_mm(t as usize)).collect();
+        Ok(Self { boxes: Boxes::about(&corners_mm, leaves), corners_mm, original })
+    }
+
+    /// The triangle that a ray meets first and the distance to it in lengths of `direction`; `None` where that is not
+    /// less than `range`.
+    pub(crate) fn cast(&self, origin_mm: DVec3, direction: DVec3, range: f64) -> Option<(u32, f64)> {
+        let first = Cell::new((range, None));
+        let ray = Ray::new(self.boxes.place(origin_mm), direction * self.boxes.per_mm);
+        self.boxes.tree.find_best(
+            Boxes::reach(range),
+            |node, _| ray.entry(node),
+            |triangle, _| {
+                let distance = ray_meets(origin_mm, direction, self.corners_mm[triangle as usize])?;
+                if (distance, Some(triangle)) < first.get() {
+                    first.set((distance, Some(triangle)));
+                }
+                Some(Boxes::reach(distance))
+            },
+        );
+        let (distance, triangle) = first.get();
+        triangle.filter(|_| distance < range).map(|triangle| (self.original[triangle as usize], distance))
+    }
+}
+
+impl Locator {
+    /// Builds the tree.
+    ///
+    /// # Errors
+    /// [`Error::Surface`] where an index is out of range, a node is not finite or no triangle has an area.
+    pub fn new(surface: &Surface) -> Result<Self> {
+        surface.check()?;
+        let normals = surface.triangle_normals();
+        let triangles = RayCaster::with_normals(surface, &normals)?;
+        let original = &triangles.original;
+        let nodes: Vec<[u32; 3]> = original.iter().map(|&t| surface.triangles[t as usize]).collect();
         let mut locator = Self {
-            boxes: Boxes::about(&corners_mm, leaves),
-            corners_mm,
             face_normals: original.iter().map(|&t| normals[t as usize]).collect(),
             edge_normals: vec![[DVec3::ZERO; 3]; nodes.len()],
             node_normals: surface.node_normals(),
             rim_edges: vec![[false; 3]; nodes.len()],
             rim_nodes: vec![false; surface.nodes_mm.len()],
             nodes,
-            original,
+            triangles,
         };
         locator.find_edge_normals();
         Ok(locator)
@@ -152,14 +193,15 @@ impl Locator {
         if !query_mm.is_finite() {
             return None;
         }
+        let RayCaster { boxes, corners_mm, .. } = &self.triangles;
         let measure = |triangle: u32| {
-            let (point_mm, feature) = closest_on_triangle(query_mm, self.corners_mm[triangle as usize]);
+            let (point_mm, feature) = closest_on_triangle(query_mm, corners_mm[triangle as usize]);
             Nearest { squared_mm2: query_mm.distance_squared(point_mm), triangle, point_mm, feature }
         };
         let nearest = Cell::new(measure(start));
-        let query = self.boxes.place(query_mm).as_vec3a().clamp(-Boxes::FAR, Boxes::FAR);
-        self.boxes.tree.find_best(
-            self.boxes.bound(nearest.get().squared_mm2),
+        let query = boxes.place(query_mm).as_vec3a().clamp(-Boxes::FAR, Boxes::FAR);
+        boxes.tree.find_best(
+            boxes.bound(nearest.get().squared_mm2),
             |node, _| squared_distance(node, query),
             |triangle, _| {
                 if triangle == start {
@@ -169,7 +211,7 @@ impl Locator {
                 if found.is_before(nearest.get()) {
                     nearest.set(found);
                 }
-                Some(self.boxes.bound(found.squared_mm2))
+                Some(boxes.bound(found.squared_mm2))
             },
         );
         Some(nearest.get())
@@ -178,21 +220,7 @@ impl Locator {
     /// The triangle that a ray meets first and the distance to it in lengths of `direction`; `None` where that is not
     /// less than `range`.
     pub(crate) fn cast(&self, origin_mm: DVec3, direction: DVec3, range: f64) -> Option<(u32, f64)> {
-        let first = Cell::new((range, None));
-        let (origin, direction_per_mm) = (self.boxes.place(origin_mm), direction * self.boxes.per_mm);
-        self.boxes.tree.find_best(
-            Boxes::reach(range),
-            |node, _| entry(node, origin, direction_per_mm),
-            |triangle, _| {
-                let distance = ray_meets(origin_mm, direction, self.corners_mm[triangle as usize])?;
-                if (distance, Some(triangle)) < first.get() {
-                    first.set((distance, Some(triangle)));
-                }
-                Some(Boxes::reach(distance))
-            },
-        );
-        let (distance, triangle) = first.get();
-        triangle.filter(|_| distance < range).map(|triangle| (self.original[triangle as usize], distance))
+        self.triangles.cast(origin_mm, direction, range)
     }
 
     fn describe(&self, query_mm: DVec3, nearest: Nearest) -> Closest {
@@ -211,7 +239,7 @@ impl Locator {
             point_mm: nearest.point_mm,
             distance_mm,
             signed_distance_mm: if is_behind { -distance_mm } else { distance_mm },
-            triangle: self.original[t],
+            triangle: self.triangles.original[t],
             on_rim,
         }
     }
@@ -294,23 +322,36 @@ impl Boxes {
     }
 }
 
-/// How far along a ray it enters a box, 0 inside, in lengths of its direction; infinite where it misses it. The box
-/// is larger than what it holds by more than the rounding here.
-fn entry(node: &BvhNode, origin: DVec3, direction: DVec3) -> f32 {
-    let (low, high) = (node.mins().as_dvec3(), node.maxs().as_dvec3());
-    let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
-    for axis in 0..3 {
-        if direction[axis] == 0.0 {
-            if !(low[axis]..=high[axis]).contains(&origin[axis]) {
-                return f32::INFINITY;
-            }
-            continue;
-        }
-        let per = direction[axis].recip();
-        let (a, b) = ((low[axis] - origin[axis]) * per, (high[axis] - origin[axis]) * per);
-        (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
+/// A ray among boxes.
+struct Ray {
+    origin: DVec3,
+    /// Inverse of its direction, axis by axis; not finite where that is 0.
+    per: DVec3,
+}
+
+impl Ray {
+    fn new(origin: DVec3, direction: DVec3) -> Self {
+        Self { origin, per: direction.recip() }
     }
-    if enter <= leave { enter as f32 } else { f32::INFINITY }
+
+    /// How far along the ray it enters a box, 0 inside, in lengths of its direction; infinite where it misses it. The box is
+    /// larger than what it holds by more than the rounding here.
+    fn entry(&self, node: &BvhNode) -> f32 {
+        let (low, high) = (node.mins().as_dvec3(), node.maxs().as_dvec3());
+        let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
+        for axis in 0..3 {
+            let (from, per) = (self.origin[axis], self.per[axis]);
+            if !per.is_finite() {
+                if !(low[axis]..=high[axis]).contains(&from) {
+                    return f32::INFINITY;
+                }
+                continue;
+            }
+            let (a, b) = ((low[axis] - from) * per, (high[axis] - from) * per);
+            (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
+        }
+        if enter <= leave { enter as f32 } else { f32::INFINITY }
+    }
 }
 
 fn squared_distance(node: &BvhNode, query: Vec3A) -> f32 {

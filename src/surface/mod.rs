@@ -11,6 +11,7 @@ mod space;
 mod topology;
 
 pub use cut::{Cut, Cutter, OnEdge, SectionOutline};
+pub(crate) use locator::RayCaster;
 pub use locator::{Closest, Locator};
 pub use space::Space;
 pub(crate) use topology::Groups;

@@ -190,12 +190,7 @@ impl Mesh {
 
     /// All edges, each once, its nodes in ascending order.
     fn edges(&self) -> Vec<[u32; 2]> {
-        let alive = self.triangles.iter().filter(|t| **t != GONE);
-        let of = |&[a, b, c]: &[u32; 3]| [[a, b], [b, c], [c, a]].map(|[a, b]| [a.min(b), a.max(b)]);
-        let mut edges: Vec<[u32; 2]> = alive.flat_map(of).collect();
-        edges.par_sort_unstable();
-        edges.dedup();
-        edges
+        edges_of(self.triangles.iter())
     }
 
     fn at(&self, node: u32) -> DVec3 {
@@ -366,24 +361,25 @@ impl Mesh {
     }
 
     fn flip_edges(&mut self) {
+        let mut edges = self.edges();
         for _ in 0..MAX_SWEEPS {
-            let mut flips = 0;
-            for [a, b] in self.edges() {
-                flips += usize::from(self.flip(a, b));
-            }
-            if flips == 0 {
+            let flipped: Vec<u32> =
+                edges.into_iter().filter_map(|[a, b]| self.flip(a, b)).flatten().collect();
+            if flipped.is_empty() {
                 break;
             }
+            // Only edges of these may need a flip now.
+            edges = edges_of(flipped.iter().map(|&t| &self.triangles[t as usize]));
         }
     }
 
     /// Joins the two other corners at an edge instead, where Delaunay's criterion asks for it: opposite angles that add up to
-    /// more than 180°.
-    fn flip(&mut self, a: u32, b: u32) -> bool {
+    /// more than 180°. Returns the two triangles where it does.
+    fn flip(&mut self, a: u32, b: u32) -> Option<[u32; 2]> {
         let beside = self.beside(a, b);
-        let &[s, t] = &beside[..] else { return false };
+        let &[s, t] = &beside[..] else { return None };
         if self.patch[s as usize] != self.patch[t as usize] {
-            return false;
+            return None;
         }
         // In `first` the edge runs from a to b.
         let corners = self.triangles[s as usize];
@@ -395,7 +391,7 @@ impl Mesh {
         let sum = cotangent(at_a - at_c, at_b - at_c) + cotangent(at_a - at_d, at_b - at_d);
         // A small margin: nodes on one circle flip no end otherwise.
         if sum.is_nan() || sum >= -1e-6 || c == d || !self.beside(c, d).is_empty() {
-            return false;
+            return None;
         }
         let old = [first, second].map(|t| self.normal_of(self.triangles[t as usize]));
         let new = [[a, d, c], [b, c, d]];
@@ -404,7 +400,7 @@ impl Mesh {
         let cosine = |[u, v]: [DVec3; 2]| u.dot(v) / (u.length() * v.length());
         let folds = lengths.contains(&0.0) || normals.iter().any(|n| n.dot(old[0] + old[1]) <= 0.0);
         if folds || cosine(normals) < LEAST_COSINE.min(cosine(old)) {
-            return false;
+            return None;
         }
         for (t, corners) in [first, second].into_iter().zip(new) {
             self.triangles[t as usize] = corners;
@@ -413,7 +409,7 @@ impl Mesh {
         self.about[b as usize].retain(|&t| t != first);
         self.about[c as usize].push(second);
         self.about[d as usize].push(first);
-        true
+        Some([first, second])
     }
 
     /// Collapses the shortest sides of needles, whatever the length of the others.
@@ -474,6 +470,15 @@ impl Mesh {
             }
         }
     }
+}
+
+/// The edges of triangles, each once, its nodes in ascending order.
+fn edges_of<'a>(triangles: impl Iterator<Item = &'a [u32; 3]>) -> Vec<[u32; 2]> {
+    let of = |&[a, b, c]: &[u32; 3]| [[a, b], [b, c], [c, a]].map(|[a, b]| [a.min(b), a.max(b)]);
+    let mut edges: Vec<[u32; 2]> = triangles.filter(|t| **t != GONE).flat_map(of).collect();
+    edges.par_sort_unstable();
+    edges.dedup();
+    edges
 }
 
 /// Whether a triangle's normal is rounding noise.

@@ -25,6 +25,7 @@ pub use report::{SweepReport, SweepTimings};
 pub use support::Support;
 pub(crate) use support::{MAX_ERROR_MEDIANS, MAX_ERROR_RADII, MAX_OFF_WALL};
 pub use tracker::Tracker;
+pub(crate) use wall::engine::WallDevice;
 #[cfg(feature = "gpu")]
 pub use wall::gpu::GpuWallEngine;
 
@@ -81,8 +82,18 @@ impl Sweep {
     /// # Errors
     /// As [`Sweep::of`].
     pub fn run(recording: &Recording, settings: &Settings, progress: &StageProgress) -> Result<Self> {
+        Self::run_with(recording, settings, progress, &WallDevice::default())
+    }
+
+    /// As [`Sweep::run`]; where a device fits the wall it is this one.
+    pub(crate) fn run_with(
+        recording: &Recording,
+        settings: &Settings,
+        progress: &StageProgress,
+        device: &WallDevice,
+    ) -> Result<Self> {
         Self::fitted(recording, settings, progress, |grid, echoes, checkpoint| {
-            engine::fit(grid, echoes, settings, checkpoint)
+            engine::fit(grid, echoes, settings, device, checkpoint)
         })
     }
 

@@ -3,9 +3,10 @@
 use crate::device::{device, say};
 use crate::recordings::shared;
 use lumenmesh::evaluate::{Truth, evaluate};
+use lumenmesh::reconstruction::{Lumen, Reconstructor};
 use lumenmesh::recording::Recording;
 use lumenmesh::settings::{Backend, Settings, SweepSettings};
-use lumenmesh::simulate::{self, Noise, Phantom, Probe, Shape, Simulation};
+use lumenmesh::simulate::{self, Insertion, Noise, Phantom, Probe, Shape, Simulation, Visit};
 use lumenmesh::study::bench::SweepCase;
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
@@ -100,6 +101,29 @@ fn a_wall_is_the_cpu_s_with_noise_and_without() {
         let mut swapped = found;
         swapped.radii_mm.rotate_right(1);
         agree(&swapped, &expected).unwrap_err();
+    }
+}
+
+#[test]
+fn walls_of_branches_are_fitted_side_by_side_on_one_device() {
+    let Some(_) = device() else { return };
+    let visits = [0, 1].map(|branch| Visit::new(branch, None)).to_vec();
+    let insertion = Insertion::default().with_visits(visits);
+    let recording =
+        simulated("side_branch", &simulate::SimulationSettings::default().with_insertion(insertion));
+    let on_device = Reconstructor::new(settings(Backend::Gpu, None));
+    let found = on_device.run(&recording).unwrap();
+    let expected = Reconstructor::new(settings(Backend::Cpu, None)).run(&recording).unwrap();
+    let sweeps = |lumen: &Lumen| lumen.branches().unwrap().sweeps.clone();
+    assert_eq!(sweeps(&found).len(), 2);
+    for (found, expected) in sweeps(&found).iter().zip(&sweeps(&expected)) {
+        assert_eq!((found.report.engine.name.as_str(), expected.report.engine.name.as_str()), ("gpu", "cpu"));
+        agree(found, expected).unwrap();
+    }
+    // In the device's kept memory, whichever branch comes first.
+    for _ in 0..3 {
+        let again = on_device.run(&recording).unwrap();
+        assert!(again.surface() == found.surface());
     }
 }
 

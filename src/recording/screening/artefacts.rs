@@ -105,9 +105,23 @@ impl RingDown {
     /// distance, and no wall beyond.
     pub(super) fn of(frames: &[Frame]) -> Option<Self> {
         let bin = |d: f64| (((d / NEAREST_MM).ln() * BINS_PER_E).max(0.0) as usize).min(BINS - 1);
-        let mut counts = vec![0.0; BINS];
-        let distances = || frames.iter().flat_map(|frame| frame.echoes_mm().map(DVec2::length));
-        distances().filter(|d| d.is_finite()).for_each(|d| counts[bin(d)] += 1.0);
+        let counts = frames
+            .par_iter()
+            .fold(
+                || vec![0_u64; BINS],
+                |mut counts, frame| {
+                    distances(frame).filter(|d| d.is_finite()).for_each(|d| counts[bin(d)] += 1);
+                    counts
+                },
+            )
+            .reduce(
+                || vec![0; BINS],
+                |mut counts, others| {
+                    counts.iter_mut().zip(others).for_each(|(count, other)| *count += other);
+                    counts
+                },
+            );
+        let counts: Vec<f64> = counts.into_iter().map(|count| count as f64).collect();
         let total: f64 = counts.iter().sum();
         let sum = |from: usize, to: usize| counts[from.min(BINS)..to.min(BINS)].iter().sum::<f64>();
         let is_peak = |from: &usize| {
@@ -121,8 +135,11 @@ impl RingDown {
         };
         let most = |a: &usize, b: &usize| sum(*a, a + PEAK_BINS).total_cmp(&sum(*b, b + PEAK_BINS));
         let from = (0..BINS - PEAK_BINS).filter(is_peak).max_by(most)?;
-        let mut of_peak: Vec<f64> =
-            distances().filter(|d| (from..from + PEAK_BINS).contains(&bin(*d))).collect();
+        let mut of_peak: Vec<f64> = frames
+            .iter()
+            .flat_map(distances)
+            .filter(|d| (from..from + PEAK_BINS).contains(&bin(*d)))
+            .collect();
         let radius_mm = median(&mut of_peak);
         let mut deviations: Vec<f64> = of_peak.iter().map(|d| (d - radius_mm).abs()).collect();
         let tolerance_mm = (TOLERANCE_SDS * SD_PER_MAD * median(&mut deviations)).max(1e-3 * radius_mm);
@@ -155,6 +172,11 @@ const MAX_EVEN_ANGLES: f64 = 2.0;
 /// With fewer points nothing tells an order.
 const MIN_POINTS: usize = 8;
 
+/// Distances of a contour's points from the probe, mm.
+fn distances(frame: &Frame) -> impl Iterator<Item = f64> + '_ {
+    frame.echoes_mm().map(DVec2::length)
+}
+
 /// The points of a contour without an order, sorted about their centre; `None` for one that has an order.
 pub(super) fn sorted(frame: &Frame) -> Option<Vec<DVec2>> {
     let points: Vec<DVec2> = frame.echoes_mm().collect();
@@ -163,17 +185,18 @@ pub(super) fn sorted(frame: &Frame) -> Option<Vec<DVec2>> {
     }
     let middle = |of: fn(&DVec2) -> f64| median(&mut points.iter().map(of).collect::<Vec<_>>());
     let centre = DVec2::new(middle(|p| p.x), middle(|p| p.y));
-    let angle = |p: &DVec2| (p.y - centre.y).atan2(p.x - centre.x);
+    let angles: Vec<f64> = points.iter().map(|p| (p.y - centre.y).atan2(p.x - centre.x)).collect();
     let turn = |d: f64| (d + PI).rem_euclid(TAU) - PI;
     let count = points.len();
-    let turn_to = |i: usize, apart: usize| turn(angle(&points[(i + apart) % count]) - angle(&points[i]));
+    let turn_to = |i: usize, apart: usize| turn(angles[(i + apart) % count] - angles[i]);
     let mean_sine = (0..count).map(|i| turn_to(i, count / 4).sin()).sum::<f64>() / count as f64;
     let mut sizes: Vec<f64> = (0..count).map(|i| turn_to(i, 1).abs()).collect();
     if mean_sine.abs() >= MIN_MEAN_SINE || median(&mut sizes) <= MAX_EVEN_ANGLES * TAU / count as f64 {
         return None;
     }
-    let mut sorted = points;
-    sorted.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
+    let mut order: Vec<usize> = (0..count).collect();
+    order.sort_by(|&a, &b| angles[a].total_cmp(&angles[b]));
+    let mut sorted: Vec<DVec2> = order.into_iter().map(|i| points[i]).collect();
     sorted.resize(frame.contour_mm.len(), DVec2::NAN);
     Some(sorted)
 }

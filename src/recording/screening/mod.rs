@@ -18,7 +18,7 @@ pub(crate) use live::{Judged, LiveScreening};
 pub use no_echo::NoEcho;
 
 use super::finding::Finding;
-use super::{Conventions, Recording};
+use super::{Conventions, Frame, Recording};
 use crate::geometry::Pose;
 use crate::{Error, Result};
 use path::Place;
@@ -155,18 +155,22 @@ impl<'a> Screened<'a> {
             recording.check()?;
         }
         let recording = conventions.apply(recording);
-        let screening = match unfit {
-            UnfitFrames::Keep => Screening::none(&recording),
-            _ => Screening::of(&recording),
+        let (screening, cleaned) = match unfit {
+            UnfitFrames::Keep => (Screening::none(&recording), None),
+            _ => {
+                let (screening, cleaned) = Screening::with_cleaned(&recording);
+                let changed = match cleaned {
+                    Cow::Borrowed(_) => None,
+                    Cow::Owned(frames) => Some(Recording { frames }),
+                };
+                (screening, changed)
+            }
         };
         if unfit == UnfitFrames::Refuse {
             screening.refuse()?;
         }
-        let recording = match recording {
-            Cow::Borrowed(recording) => screening.apply(recording)?,
-            Cow::Owned(recording) => Cow::Owned(screening.apply(&recording)?.into_owned()),
-        };
-        Ok(Self { recording, screening })
+        let cleaned = cleaned.map_or(recording, Cow::Owned);
+        Ok(Self { recording: screening.without_left_out(cleaned)?, screening })
     }
 }
 
@@ -187,6 +191,11 @@ impl Screening {
 
     /// Screens a recording.
     pub fn of(recording: &Recording) -> Self {
+        Self::with_cleaned(recording).0
+    }
+
+    /// Screens a recording; its frames with their contours cleaned come along.
+    fn with_cleaned(recording: &Recording) -> (Self, Cow<'_, [Frame]>) {
         let (cleaning, frames) = Cleaning::of(&recording.frames);
         let mut left_out = Vec::new();
         let mut sound = Vec::with_capacity(frames.len());
@@ -218,7 +227,7 @@ impl Screening {
         left_out.sort_by_key(|one| one.place);
         let suspicions = suspicions::suspicions(recording, &frames, &left_out);
         left_out.iter_mut().for_each(|one| one.name(recording));
-        Self { frames: frames.len(), left_out, cleaning, suspicions }
+        (Self { frames: frames.len(), left_out, cleaning, suspicions }, frames)
     }
 
     /// The recording with the contours of the frames that are left out emptied, and with their poses taken from the
@@ -227,6 +236,15 @@ impl Screening {
     /// # Errors
     /// [`Error::Frame`] with the first unfit frame where these are more than [`Screening::MAX_SHARE`] of all.
     pub fn apply<'a>(&self, recording: &'a Recording) -> Result<Cow<'a, Recording>> {
+        let cleaned = match self.cleaning.clone().add(&recording.frames) {
+            Cow::Borrowed(_) => Cow::Borrowed(recording),
+            Cow::Owned(frames) => Cow::Owned(Recording { frames }),
+        };
+        self.without_left_out(cleaned)
+    }
+
+    /// The same for a recording whose contours are cleaned.
+    fn without_left_out<'a>(&self, recording: Cow<'a, Recording>) -> Result<Cow<'a, Recording>> {
         let mut unfit = self.left_out.iter().filter(|one| one.reason.is_unfit());
         let count = unfit.clone().count();
         if count as f64 > Self::MAX_SHARE * self.frames as f64
@@ -239,10 +257,6 @@ impl Screening {
                 expected,
             });
         }
-        let recording = match self.cleaning.clone().add(&recording.frames) {
-            Cow::Borrowed(_) => Cow::Borrowed(recording),
-            Cow::Owned(frames) => Cow::Owned(Recording { frames }),
-        };
         if self.left_out.is_empty() {
             return Ok(recording);
         }

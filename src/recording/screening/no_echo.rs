@@ -2,6 +2,7 @@
 
 use crate::recording::Frame;
 use glam::DVec2;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -48,24 +49,46 @@ pub(super) struct Counts {
 /// Pairs that are remembered; beyond, those of one frame are forgotten.
 const MAX_PAIRS: usize = 1 << 14;
 
-impl Counts {
-    /// Counts the points of a frame.
-    pub fn add(&mut self, frame: &Frame) {
-        let mut keys: Vec<[u64; 2]> = Vec::new();
+/// What a frame has of such values.
+struct FoundIn {
+    infinite: usize,
+    at_probe: usize,
+    /// Pairs of numbers, each with how often it occurs.
+    repeated: Vec<([u64; 2], usize)>,
+}
+
+impl FoundIn {
+    fn of(frame: &Frame) -> Self {
+        let (mut infinite, mut at_probe) = (0, 0);
+        let mut keys: Vec<[u64; 2]> = Vec::with_capacity(frame.contour_mm.len());
         for &p in &frame.contour_mm {
             if is_infinite(p) {
-                self.infinite += 1;
+                infinite += 1;
             } else if p == DVec2::ZERO {
-                self.at_probe += 1;
+                at_probe += 1;
             } else if p.is_finite() {
                 keys.push([p.x.to_bits(), p.y.to_bits()]);
             }
         }
         keys.sort_unstable();
-        for same in keys.chunk_by(|a, b| a == b).filter(|same| same.len() >= MIN_POINTS) {
-            let (frames, points) = self.repeated.entry(same[0]).or_default();
+        let same = keys.chunk_by(|a, b| a == b).filter(|same| same.len() >= MIN_POINTS);
+        Self { infinite, at_probe, repeated: same.map(|same| (same[0], same.len())).collect() }
+    }
+}
+
+impl Counts {
+    /// Counts the points of a frame.
+    pub fn add(&mut self, frame: &Frame) {
+        self.add_found(FoundIn::of(frame));
+    }
+
+    fn add_found(&mut self, found: FoundIn) {
+        self.infinite += found.infinite;
+        self.at_probe += found.at_probe;
+        for (value, count) in found.repeated {
+            let (frames, points) = self.repeated.entry(value).or_default();
             *frames += 1;
-            *points += same.len();
+            *points += count;
         }
         if self.repeated.len() > MAX_PAIRS {
             self.repeated.retain(|_, (frames, _)| *frames > 1);
@@ -99,7 +122,8 @@ impl Counts {
 /// The values that stand for "no echo" in the frames of a recording, with how often they occur.
 pub(super) fn no_echo(frames: &[Frame]) -> Vec<NoEcho> {
     let mut counts = Counts::default();
-    frames.iter().for_each(|frame| counts.add(frame));
+    let found: Vec<FoundIn> = frames.par_iter().map(FoundIn::of).collect();
+    found.into_iter().for_each(|found| counts.add_found(found));
     counts.found()
 }
 

@@ -1,6 +1,7 @@
 //! Contours that do not contain the probe.
 
 use super::{LeftOut, Reason, Screening};
+use crate::geometry::polygon::turns_about_origin;
 use crate::numerics::robust::median;
 use crate::recording::Frame;
 use glam::DVec2;
@@ -39,24 +40,16 @@ pub(super) fn outside_by_mm(frame: &Frame) -> Option<f64> {
     if echoes.len() < 3 || frame.missing_echoes() as f64 > MAX_MISSING_SHARE * frame.contour_mm.len() as f64 {
         return None;
     }
-    let next = || echoes.iter().zip(echoes.iter().cycle().skip(1));
-    // A ray from the probe along x crosses the contour so often from below and from above.
-    let crossings: i32 = next()
-        .map(|(a, b)| match (a.y <= 0.0, b.y <= 0.0) {
-            (true, false) => i32::from(a.perp_dot(*b) > 0.0),
-            (false, true) => -i32::from(a.perp_dot(*b) < 0.0),
-            _ => 0,
-        })
-        .sum();
-    if crossings != 0 {
+    if turns_about_origin(&echoes) != 0 {
         return None;
     }
+    let next = echoes.iter().cycle().skip(1);
     let distance = |(a, b): (&DVec2, &DVec2)| {
         let along = *b - *a;
         let share = (-a.dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
         (*a + along * share).length()
     };
-    let by_mm = next().map(distance).fold(f64::INFINITY, f64::min);
+    let by_mm = echoes.iter().zip(next).map(distance).fold(f64::INFINITY, f64::min);
     let centre = frame.centroid_mm()?;
     let radius_mm = median(&mut echoes.iter().map(|p| p.distance(centre)).collect::<Vec<_>>());
     (by_mm > NOISE_RADII * radius_mm).then_some(by_mm)

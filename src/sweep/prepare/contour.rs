@@ -53,20 +53,52 @@ fn without_spikes(contour_mm: &[DVec2]) -> Vec<DVec2> {
     if count <= 2 * NEIGHBOURS {
         return points;
     }
-    let mut window = [0.0; 2 * NEIGHBOURS + 1];
-    let mut middle = |i: usize, of: fn(DVec2) -> f64| {
-        for (k, value) in window.iter_mut().enumerate() {
-            *value = of(points[(i + count + k - NEIGHBOURS) % count]);
-        }
-        window.sort_unstable_by(f64::total_cmp);
-        window[NEIGHBOURS]
+    let round: Vec<DVec2> = wrapped(&points, NEIGHBOURS);
+    let windows = round.array_windows::<{ 2 * NEIGHBOURS + 1 }>();
+    let middle = |window: &[DVec2; 2 * NEIGHBOURS + 1]| {
+        DVec2::new(median_of_nine(window.map(|p| p.x)), median_of_nine(window.map(|p| p.y)))
     };
     let distances: Vec<f64> =
-        (0..count).map(|i| points[i].distance(DVec2::new(middle(i, |p| p.x), middle(i, |p| p.y)))).collect();
+        points.iter().zip(windows).map(|(p, window)| p.distance(middle(window))).collect();
     // Where a contour bends, the median of 9 points may be as far from it as they are from each other.
     let mut steps: Vec<f64> = (0..count).map(|i| points[i].distance(points[(i + 1) % count])).collect();
     let max = MAX_DISTANCES * median(&mut distances.clone()) + NEIGHBOURS as f64 * median(&mut steps);
     points.into_iter().zip(distances).filter(|(_, distance)| *distance <= max).map(|(p, _)| p).collect()
+}
+
+/// The points of a closed contour, with so many of its last ones before them and of its first ones after them.
+fn wrapped(points: &[DVec2], beyond: usize) -> Vec<DVec2> {
+    let before = &points[points.len() - beyond..];
+    [before, points, &points[..beyond]].concat()
+}
+
+/// The median of nine numbers, by a network that compares and swaps (A. W. Paeth, *Median finding on a 3 × 3 grid*, 1990).
+fn median_of_nine(mut x: [f64; 9]) -> f64 {
+    const SWAPS: [(usize, usize); 19] = [
+        (1, 2),
+        (4, 5),
+        (7, 8),
+        (0, 1),
+        (3, 4),
+        (6, 7),
+        (1, 2),
+        (4, 5),
+        (7, 8),
+        (0, 3),
+        (5, 8),
+        (4, 7),
+        (3, 6),
+        (1, 4),
+        (2, 5),
+        (4, 7),
+        (4, 2),
+        (6, 4),
+        (4, 2),
+    ];
+    for (low, high) in SWAPS {
+        (x[low], x[high]) = (x[low].min(x[high]), x[low].max(x[high]));
+    }
+    x[4]
 }
 
 /// Largest accepted folded share: the carina of a bifurcation may reach past the centre of the contour about it.
@@ -93,7 +125,6 @@ fn smoothed(points: &[DVec2], noise: f64) -> Vec<DVec2> {
     if count < 3 {
         return points.to_vec();
     }
-    let around = |i: usize, offset: usize| points[(i + offset) % count];
     // From point to point, noise moves the mean of 2h + 1 points by noise·√2/(2h + 1); a circle advances by its length
     // over the number of points. The window makes the former a quarter of the latter.
     let mean = points.iter().sum::<DVec2>() / count as f64;
@@ -102,11 +133,14 @@ fn smoothed(points: &[DVec2], noise: f64) -> Vec<DVec2> {
     let width = 4.0 * 2.0_f64.sqrt() * noise / step.max(f64::MIN_POSITIVE);
     let reach = ((width - 1.0) / 2.0).ceil().clamp(0.0, count as f64 / 8.0) as usize;
     let width = (2 * reach + 1) as f64;
-    let window = |i: usize| (0..=2 * reach).map(move |k| around(i, count - reach + k));
+    let round = wrapped(points, reach);
     // Such means of a circle's points lie on a circle that is smaller by this factor.
     let half = TAU / count as f64 / 2.0;
     let shrink = (width * half).sin() / (width * half.sin());
-    (0..count).map(|i| mean + (window(i).sum::<DVec2>() / width - mean) / shrink).collect()
+    round
+        .windows(2 * reach + 1)
+        .map(|window| mean + (window.iter().sum::<DVec2>() / width - mean) / shrink)
+        .collect()
 }
 
 /// How much a contour turns back about its centroid: the area that the ray from there to the contour sweeps backwards, as
@@ -172,6 +206,18 @@ mod tests {
     fn share(contour: &[DVec2]) -> f64 {
         let frame = Frame::new(crate::geometry::Pose::IDENTITY, contour.to_vec());
         Outline::of(&frame).unwrap().folded_share
+    }
+
+    #[test]
+    fn the_median_of_nine_is_the_middle_one() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(9);
+        for _ in 0..1000 {
+            // Few different values, so that some are equal.
+            let x: [f64; 9] = std::array::from_fn(|_| (12.0 * rng.random::<f64>()).floor());
+            let mut sorted = x;
+            sorted.sort_by(f64::total_cmp);
+            assert_eq!(median_of_nine(x), sorted[4], "{x:?}");
+        }
     }
 
     #[test]

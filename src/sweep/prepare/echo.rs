@@ -61,6 +61,9 @@ impl Echo {
     }
 }
 
+/// Frames whose echoes are placed one after the other.
+const RUN: usize = 64;
+
 /// The echoes of contours about an axis, sorted along it; those beyond its ends are left out. `contours_mm` has an empty
 /// list for a frame that is left out, `poses` are those of the probe.
 pub(in crate::sweep) fn placed(
@@ -70,24 +73,33 @@ pub(in crate::sweep) fn placed(
     axis: &Axis,
     nodes: usize,
 ) -> Vec<Echo> {
-    let mut echoes: Vec<Echo> = frames
-        .par_iter()
-        .zip(contours_mm)
-        .zip(poses)
-        .enumerate()
-        .filter(|(_, ((_, contour_mm), _))| !contour_mm.is_empty())
-        .flat_map_iter(|(k, ((frame, _), pose))| {
-            let to_world = |p: DVec2| pose.transform_point(p.extend(0.0));
-            let centre = frame.centroid_mm().or_else(|| frame.echoes_mm().next());
-            let near = centre.map_or(0, |centre| axis.nearest_ring(to_world(centre)));
-            frame.echoes_mm().filter_map(move |echo| {
-                let place = axis.place(to_world(echo), near)?;
-                Some(Echo::new(&place, pose.rotation.z_axis, k as u32, nodes))
-            })
-        })
-        .collect();
-    echoes.par_sort_by(|a, b| a.ring.total_cmp(&b.ring));
-    echoes
+    let of_frame = |k: usize, echoes: &mut Vec<Echo>| {
+        let (frame, pose) = (&frames[k], &poses[k]);
+        if contours_mm[k].is_empty() {
+            return;
+        }
+        let to_world = |p: DVec2| pose.transform_point(p.extend(0.0));
+        let centre = frame.centroid_mm().or_else(|| frame.echoes_mm().next());
+        let near = centre.map_or(0, |centre| axis.nearest_ring(to_world(centre)));
+        echoes.extend(frame.echoes_mm().filter_map(|echo| {
+            let place = axis.place(to_world(echo), near)?;
+            Some(Echo::new(&place, pose.rotation.z_axis, k as u32, nodes))
+        }));
+    };
+    let of_run = |run: usize| {
+        let run = run * RUN..frames.len().min((run + 1) * RUN);
+        let mut echoes = Vec::with_capacity(run.clone().map(|k| contours_mm[k].len()).sum());
+        run.for_each(|k| of_frame(k, &mut echoes));
+        echoes
+    };
+    let runs: Vec<Vec<Echo>> = (0..frames.len().div_ceil(RUN)).into_par_iter().map(of_run).collect();
+    // Echoes are moved once: what is sorted are their places in the runs.
+    let mut order: Vec<(f64, u32, u32)> = Vec::with_capacity(runs.iter().map(Vec::len).sum());
+    for (run, echoes) in (0..).zip(&runs) {
+        order.extend((0..).zip(echoes).map(|(i, echo)| (echo.ring, run, i)));
+    }
+    order.par_sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    order.into_par_iter().map(|(_, run, i)| runs[run as usize][i as usize]).collect()
 }
 
 /// When the frames were taken, s; a frame without a time counts as [`FRAME_INTERVAL_S`] after the one before.

@@ -41,6 +41,8 @@ pub(in crate::sweep) struct Corners {
     pub weights: [f64; 3],
     /// Whether it is the bottom triangle (a, b, b').
     pub bottom: bool,
+    /// Ring and place on it of a.
+    cell: [usize; 2],
 }
 
 impl Corners {
@@ -73,12 +75,12 @@ impl WallGrid {
         let j = (around as usize).min(self.nodes - 1);
         let round = (around - j as f64).clamp(0.0, 1.0);
         let next = if j + 1 == self.nodes { 0 } else { j + 1 };
-        let row = below * self.nodes;
+        let (row, cell) = (below * self.nodes, [below, j]);
         let (a, b, b_up, a_up) = (row + j, row + next, row + self.nodes + next, row + self.nodes + j);
         if round >= up {
-            Corners { nodes: [a, b, b_up], weights: [1.0 - round, round - up, up], bottom: true }
+            Corners { nodes: [a, b, b_up], weights: [1.0 - round, round - up, up], bottom: true, cell }
         } else {
-            Corners { nodes: [a, a_up, b_up], weights: [1.0 - up, up - round, round], bottom: false }
+            Corners { nodes: [a, a_up, b_up], weights: [1.0 - up, up - round, round], bottom: false, cell }
         }
     }
 
@@ -101,7 +103,7 @@ impl WallGrid {
         radii_mm: &[f64],
         reach: SlopeReach,
     ) -> [f64; 2] {
-        let (level, j) = (corners.nodes[0] / self.nodes, corners.nodes[0] % self.nodes);
+        let [level, j] = corners.cell;
         // At most one turn too far: cheaper than a remainder.
         let on_ring = |node: usize| if node < self.nodes { node } else { node - self.nodes };
         let at = |ring: usize, node: usize| radii_mm[ring * self.nodes + on_ring(node)];

@@ -9,6 +9,8 @@ use crate::settings::{Backend, Settings};
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::WallGrid;
 use crate::{Error, Result};
+#[cfg(feature = "gpu")]
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// CPU time of an echo in a reweighting and of a node in a step of the solver, in seconds, about twice that of a server
 /// processor; reweightings, and steps in each. They affect the choice of [`Backend::Auto`], but no result.
@@ -17,11 +19,52 @@ const SECONDS_PER_NODE: f64 = 80e-9;
 const USUAL_ITERATIONS: f64 = 8.0;
 const USUAL_STEPS: f64 = 8.0;
 
+/// The device that walls are fitted on. The first wall that needs it starts it, and all others share it: those of the
+/// branches of a vessel, which are fitted side by side, and those of later recordings.
+#[derive(Default)]
+pub(crate) struct WallDevice {
+    #[cfg(feature = "gpu")]
+    started: Mutex<Option<Arc<GpuWallEngine>>>,
+}
+
+#[cfg(feature = "gpu")]
+impl WallDevice {
+    /// The engine, started by `start` where there is none yet.
+    fn engine(&self, start: impl FnOnce() -> Result<GpuWallEngine>) -> Result<Arc<GpuWallEngine>> {
+        let mut started = self.started.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(engine) = &*started {
+            return Ok(Arc::clone(engine));
+        }
+        let engine = Arc::new(start()?);
+        *started = Some(Arc::clone(&engine));
+        Ok(engine)
+    }
+
+    /// Fits a wall on it. After a failure the device is started anew for the next wall.
+    fn fit(
+        &self,
+        engine: &Arc<GpuWallEngine>,
+        grid: &WallGrid,
+        echoes: &mut [Echo],
+        settings: &Settings,
+        checkpoint: &Checkpoint,
+    ) -> Result<Wall> {
+        let fitted = fit_on_device(grid, echoes, settings, engine, checkpoint);
+        if matches!(fitted, Err(Error::Gpu(_))) {
+            let mut started = self.started.lock().unwrap_or_else(PoisonError::into_inner);
+            // Another wall may have replaced it already.
+            started.take_if(|other| Arc::ptr_eq(other, engine));
+        }
+        fitted
+    }
+}
+
 /// Fits the wall on the backend of the settings.
 pub(in crate::sweep) fn fit(
     grid: &WallGrid,
     echoes: &mut [Echo],
     settings: &Settings,
+    device: &WallDevice,
     checkpoint: &Checkpoint,
 ) -> Result<(Wall, EngineDescription)> {
     let fit_on_cpu =
@@ -52,9 +95,11 @@ pub(in crate::sweep) fn fit(
                 return fit_on_cpu(grid, echoes, Some(why));
             }
             #[cfg(feature = "gpu")]
-            let why = match crate::engine::start(settings.adapter.as_deref(), GpuWallEngine::new) {
+            let start = || crate::engine::start(settings.adapter.as_deref(), GpuWallEngine::new);
+            #[cfg(feature = "gpu")]
+            let why = match device.engine(start) {
                 Err(reason) => reason.to_string(),
-                Ok(engine) => match fit_on_device(grid, echoes, settings, &engine, checkpoint) {
+                Ok(engine) => match device.fit(&engine, grid, echoes, settings, checkpoint) {
                     Ok(wall) => {
                         let why = format!("the work is about {cpu_seconds:.1} s on the CPU");
                         return Ok((wall, EngineDescription { why: Some(why), ..engine.describe() }));
@@ -69,8 +114,8 @@ pub(in crate::sweep) fn fit(
         }
         #[cfg(feature = "gpu")]
         Backend::Gpu => {
-            let engine = GpuWallEngine::new(settings.adapter.as_deref())?;
-            Ok((fit_on_device(grid, echoes, settings, &engine, checkpoint)?, engine.describe()))
+            let engine = device.engine(|| GpuWallEngine::new(settings.adapter.as_deref()))?;
+            Ok((device.fit(&engine, grid, echoes, settings, checkpoint)?, engine.describe()))
         }
         #[cfg(not(feature = "gpu"))]
         Backend::Gpu => Err(crate::settings::no_gpu_engine()),
