@@ -164,9 +164,17 @@ fn zones(tubes: &[Tube], inner_ends: &[[Option<usize>; 2]]) -> Vec<Zone> {
             .into_par_iter()
             .map(|k| {
                 let mut meets = Vec::new();
-                for j in 0..tube.nodes {
+                let own = &tube.radii_mm[k * tube.nodes..(k + 1) * tube.nodes];
+                let (middle_mm, radius_mm) =
+                    (tube.axis.points_mm[k], own.iter().copied().fold(0.0, f64::max));
+                let others: Vec<(usize, &Tube)> = tubes
+                    .iter()
+                    .enumerate()
+                    .filter(|(o, other)| *o != number && other.may_reach(middle_mm, radius_mm))
+                    .collect();
+                for j in 0..if others.is_empty() { 0 } else { tube.nodes } {
                     let p = tube.node_mm(k, j);
-                    for (o, other) in tubes.iter().enumerate().filter(|(o, _)| *o != number) {
+                    for &(o, other) in &others {
                         let margin_mm = NEAR_EDGES * tube.edge_mm.max(other.edge_mm);
                         if let Some(spot) = other.spot(p).filter(|spot| spot.outside_mm < margin_mm) {
                             meets.push((o, spot.ring.round() as usize));

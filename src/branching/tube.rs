@@ -82,6 +82,14 @@ impl<'a> Tube<'a> {
         self.axis.point_mm(ring, theta_rad, self.radii_mm[ring * self.nodes + node])
     }
 
+    /// Whether any point within a distance of a place may have a [`spot`](Self::spot).
+    pub(super) fn may_reach(&self, place_mm: DVec3, distance_mm: f64) -> bool {
+        let reach_mm = (self.reach_mm + distance_mm) * (1.0 + 1e-9);
+        self.stretches
+            .iter()
+            .any(|(centre_mm, radius_mm)| centre_mm.distance(place_mm) <= radius_mm + reach_mm)
+    }
+
     /// Where a point lies; `None` beyond the tube's rings, and so far away that it does not matter.
     pub(super) fn spot(&self, point_mm: DVec3) -> Option<Spot> {
         let (first, last) = (*self.rings.start(), *self.rings.end());

@@ -29,7 +29,7 @@ use moments::{Sectors, Sums};
 use process::{Process, Seen, add_draw, frequency_hz, random};
 use rayon::prelude::*;
 use serde::Serialize;
-use smoother::{Response, Smoother, linearised};
+use smoother::{Smoother, linearised};
 
 /// Errors of a recording, as far as its echoes show them.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
@@ -162,8 +162,9 @@ struct Bends {
 impl Bends {
     fn drawn(smoother: &Smoother, draws: usize) -> Result<Vec<Self>> {
         let of_draw = |draw| {
-            let Response { residuals_mm, .. } = smoother.to_bends(draw, None)?;
-            Ok(Self { found_mm: smoother.wall(&residuals_mm)?, residuals_mm })
+            let bends_mm = smoother.bends(draw, None)?;
+            let residuals_mm: Vec<f64> = smoother.residuals_of_bends(&bends_mm).collect();
+            Ok(Self { found_mm: smoother.wall(residuals_mm.iter().copied())?, residuals_mm })
         };
         (0..draws).into_par_iter().map(of_draw).collect()
     }
@@ -271,8 +272,10 @@ impl<'a> Recorded<'a> {
         let residuals_mm: Vec<f64> = echoes.iter().map(|e| e.residual_mm.clamp(-most_mm, most_mm)).collect();
         let is_on_wall: Vec<bool> = echoes.iter().map(|echo| is_inlier(echo, wall.noise_mm)).collect();
         let sectors = Sectors::of(&self.seen, &is_on_wall, self.times_s.len());
-        let (found_mm, bends) =
-            rayon::join(|| smoother.wall(&residuals_mm), || Bends::drawn(&smoother, BASE_DRAWS));
+        let (found_mm, bends) = rayon::join(
+            || smoother.wall(residuals_mm.iter().copied()),
+            || Bends::drawn(&smoother, BASE_DRAWS),
+        );
         let (found_mm, bends) = (found_mm?, bends?);
         let reach_mm = self.reach_mm(echoes, wall);
         let roughness_for =
@@ -308,8 +311,9 @@ impl<'a> Recorded<'a> {
             .into_par_iter()
             .map(|draw| {
                 let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
-                let Response { errors_mm, residuals_mm } = smoother.to_errors(&errors_mm)?;
-                Ok([errors_mm, smoother.wall(&residuals_mm)?])
+                let wall_mm = smoother.wall(errors_mm.iter().copied())?;
+                let of_residuals_mm = smoother.wall(smoother.residuals(&errors_mm, &wall_mm))?;
+                Ok([wall_mm, of_residuals_mm])
             })
             .collect::<Result<_>>()?;
         let [errors, noise] = [0, 1].map(|i| mean_squares(fields.iter().map(|field| &field[i])));
@@ -350,7 +354,7 @@ impl<'a> Recorded<'a> {
         bends: &[Bends],
         roughness: &dyn Fn(&[Levels]) -> Result<Roughness>,
     ) -> Result<Vec<Levels>> {
-        let found = sectors.sums(residuals.values_mm);
+        let found = sectors.sums(residuals.values_mm.iter().copied());
         let (moments, scatter) = (sectors.means(&found), sectors.errors(&found));
         let variance = moments[0];
         let scales: Vec<f64> = moments
@@ -372,17 +376,20 @@ impl<'a> Recorded<'a> {
             let sums: Vec<Sums> = jobs
                 .par_iter()
                 .map(|&(kind, draw)| {
-                    let residuals_mm = match (kinds[kind], rougher) {
-                        (Process::Wall, None) => return Ok(sectors.sums(&bends[draw].residuals_mm)),
-                        (Process::Wall, rougher) => smoother.to_bends(draw, rougher)?.residuals_mm,
+                    Ok(match (kinds[kind], rougher) {
+                        (Process::Wall, None) => sectors.sums(bends[draw].residuals_mm.iter().copied()),
+                        (Process::Wall, rougher) => {
+                            let bends_mm = smoother.bends(draw, rougher)?;
+                            sectors.sums(smoother.residuals_of_bends(&bends_mm))
+                        }
                         (process, _) => {
                             let mut errors_mm = vec![0.0; self.seen.len()];
                             let rng = &mut random(draw, first + kind);
                             add_draw(process, 1.0, rng, &self.seen, &self.times_s, &mut errors_mm);
-                            smoother.to_errors(&errors_mm)?.residuals_mm
+                            let wall_mm = smoother.wall(errors_mm.iter().copied())?;
+                            sectors.sums(smoother.residuals(&errors_mm, &wall_mm))
                         }
-                    };
-                    Ok(sectors.sums(&residuals_mm))
+                    })
                 })
                 .collect::<Result<_>>()?;
             let mean = |kind: usize| {
@@ -500,10 +507,10 @@ impl<'a> Recorded<'a> {
             .map(|draw| {
                 let draw = ROUGHNESS_DRAWS + draw;
                 let (of_errors, of_bends) = rayon::join(
-                    || smoother.wall(&self.drawn(&descriptions[draw % descriptions.len()], draw)),
-                    || smoother.to_bends(draw, None),
+                    || smoother.wall(self.drawn(&descriptions[draw % descriptions.len()], draw)),
+                    || smoother.bends(draw, None),
                 );
-                Ok([of_errors?, of_bends?.errors_mm])
+                Ok([of_errors?, of_bends?])
             })
             .collect::<Result<_>>()?;
         let reach_mm = VARIANCE_REACHES * self.reach_mm(echoes, wall);

@@ -36,12 +36,12 @@ impl Sectors {
         let cells: Vec<u32> = echoes.par_iter().zip(is_on_wall).map(cell).collect();
         // Residuals of 1 count the pairs.
         let mut sectors = Self { cells, frames, pairs: Sums::new() };
-        sectors.pairs = sectors.sums(&vec![1.0; echoes.len()]);
+        sectors.pairs = sectors.sums(std::iter::repeat_n(1.0, echoes.len()));
         sectors
     }
 
     /// Moments of the residuals of the echoes.
-    pub(super) fn sums(&self, residuals_mm: &[f64]) -> Sums {
+    pub(super) fn sums(&self, residuals_mm: impl IntoIterator<Item = f64>) -> Sums {
         let mut sums = vec![[0.0; 2]; self.frames * SECTORS + 1];
         for (cell, residual) in self.cells.iter().zip(residuals_mm) {
             let [sum, square] = &mut sums[*cell as usize];
@@ -145,7 +145,7 @@ mod tests {
             .unzip();
         let is_on_wall: Vec<bool> = (0..2400).map(|i| i % 7 > 0).collect();
         let sectors = Sectors::of(&seen, &is_on_wall, 150);
-        let means = sectors.means(&sectors.sums(&residuals_mm));
+        let means = sectors.means(&sectors.sums(residuals_mm.iter().copied()));
         let mut expected = vec![[0.0; 2]; 1 + (1 + LAGS.len()) * APART.len()];
         let mut add = |moment: usize, product: f64, pairs: f64| {
             expected[moment][0] += product;

@@ -31,13 +31,10 @@ pub(super) struct Term {
 }
 
 impl Term {
-    fn at(&self, values: &[f64]) -> f64 {
-        self.nodes.iter().zip(self.shares).map(|(&n, share)| values[n as usize] * f64::from(share)).sum()
-    }
-
-    /// The residual that a wall leaves of an error of the echo.
-    fn left(&self, error_mm: f64, wall_mm: &[f64]) -> f64 {
-        error_mm - f64::from(self.scale) * self.at(wall_mm)
+    /// The residual that a change of the wall makes.
+    fn at(&self, wall_mm: &[f64]) -> f64 {
+        let corners = self.nodes.iter().zip(self.shares);
+        f64::from(self.scale) * corners.map(|(&n, share)| wall_mm[n as usize] * f64::from(share)).sum::<f64>()
     }
 }
 
@@ -86,12 +83,6 @@ pub(super) struct Smoother<'a> {
     noise_mm: f64,
 }
 
-/// An error of the wall at the nodes, mm, and the residuals of the echoes that come with it, mm.
-pub(super) struct Response {
-    pub errors_mm: Vec<f64>,
-    pub residuals_mm: Vec<f64>,
-}
-
 impl<'a> Smoother<'a> {
     pub(super) fn of(
         grid: &'a WallGrid,
@@ -109,8 +100,8 @@ impl<'a> Smoother<'a> {
         Ok(x)
     }
 
-    /// The wall through values of the echoes in the form of residuals.
-    pub(super) fn wall(&self, values_mm: &[f64]) -> Result<Vec<f64>> {
+    /// The wall through values of the echoes in the form of residuals, mm.
+    pub(super) fn wall(&self, values_mm: impl IntoIterator<Item = f64>) -> Result<Vec<f64>> {
         let mut right = vec![0.0; self.grid.node_count()];
         for (term, value) in self.terms.iter().zip(values_mm) {
             let weighted = f64::from(term.pull) * value;
@@ -121,20 +112,17 @@ impl<'a> Smoother<'a> {
         self.solve(&right)
     }
 
-    /// The response to errors of the echoes.
-    pub(super) fn to_errors(&self, values_mm: &[f64]) -> Result<Response> {
-        let errors_mm = self.wall(values_mm)?;
-        let left = |(term, value): (&Term, &f64)| term.left(*value, &errors_mm);
-        let residuals_mm = self.terms.iter().zip(values_mm).map(left).collect();
-        Ok(Response { errors_mm, residuals_mm })
+    /// What the [`wall`](Self::wall) through errors of the echoes leaves of them, mm.
+    pub(super) fn residuals(&self, errors_mm: &[f64], wall_mm: &[f64]) -> impl Iterator<Item = f64> {
+        self.terms.iter().zip(errors_mm).map(|(term, error)| error - term.at(wall_mm))
     }
 
-    /// The response to the bends of a wall that is as rough as the smoothing assumes.
+    /// What the fit misses of the bends of a wall that is as rough as the smoothing assumes, mm.
     ///
     /// With `λ ∫ bending² = Σ w (c·r)²`, such a wall has `√w c·r = √λ τ z` with independent normal z, and the fit misses
     /// `A⁻¹ Σ w c (c·r)` of it.
     /// `rougher` has the roughness about each node in units of that, if it is not the same everywhere.
-    pub(super) fn to_bends(&self, draw: usize, rougher: Option<&[f64]>) -> Result<Response> {
+    pub(super) fn bends(&self, draw: usize, rougher: Option<&[f64]>) -> Result<Vec<f64>> {
         let mut right = vec![0.0; self.grid.node_count()];
         let mut rng = random(draw, BENDS);
         for k in 0..self.grid.rings {
@@ -148,8 +136,11 @@ impl<'a> Smoother<'a> {
                 }
             }
         }
-        let errors_mm = self.solve(&right)?;
-        let residuals_mm = self.terms.iter().map(|term| -term.left(0.0, &errors_mm)).collect();
-        Ok(Response { errors_mm, residuals_mm })
+        self.solve(&right)
+    }
+
+    /// The residuals of the echoes that come with such bends, mm.
+    pub(super) fn residuals_of_bends(&self, bends_mm: &[f64]) -> impl Iterator<Item = f64> {
+        self.terms.iter().map(|term| term.at(bends_mm))
     }
 }

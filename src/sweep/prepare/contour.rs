@@ -108,12 +108,10 @@ pub(in crate::sweep) const MAX_FOLDED: f64 = 0.2;
 ///
 /// Fourth differences of noise have seventy times its variance; those of a smooth curve are almost 0.
 fn noise_mm(points: &[DVec2]) -> f64 {
-    let count = points.len();
-    let around = |i: usize| points[i % count];
-    let mut bends: Vec<f64> = (0..count)
-        .map(|i| around(i) + around(i + 4) - (around(i + 1) + around(i + 3)) * 4.0 + around(i + 2) * 6.0)
-        .map(DVec2::length)
-        .collect();
+    let next = points.iter().copied().cycle();
+    let round: Vec<DVec2> = next.take(if points.is_empty() { 0 } else { points.len() + 4 }).collect();
+    let bend = |p: &[DVec2; 5]| (p[0] + p[4] - (p[1] + p[3]) * 4.0 + p[2] * 6.0).length();
+    let mut bends: Vec<f64> = round.array_windows().map(bend).collect();
     // The median length of a vector of two standard normal numbers is 1.18.
     median(&mut bends) / 1.18 / 70.0_f64.sqrt()
 }

@@ -97,6 +97,7 @@ impl WallGrid {
     }
 
     /// Slopes of the wall on the triangle of a place: per node and per ring.
+    #[inline]
     pub(in crate::sweep) fn slopes(
         &self,
         corners: &Corners,
