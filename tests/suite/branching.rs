@@ -109,6 +109,23 @@ fn visited_branches_become_one_surface() {
     }
 }
 
+/// Recordings whose noisy walls lie close to each other, or touch, beside their partings.
+#[test]
+fn walls_that_touch_beside_a_parting_become_one_surface_without_holes_and_tunnels() {
+    for (seed, merge) in [(1, Merge::Stitch), (2, Merge::Blend), (3, Merge::Blend), (5, Merge::Blend)] {
+        let visits = (0..4).map(|branch| Visit::new(branch, None)).collect();
+        let settings = SimulationSettings::default()
+            .with_insertion(Insertion::default().with_visits(visits))
+            .with_noise(Noise::default().with_seed(seed));
+        let lumen = of_cylinders(&simulated("tree", &settings).recording, Branches::Auto, merge);
+        let report = &lumen.cylinder_branches().unwrap().report;
+        let topology = lumen.surface().topology();
+        assert!(topology.is_oriented_manifold(), "{seed} {merge:?}: {topology:?}");
+        assert_eq!((report.unsewn, report.tunnels()), (0, 0), "{seed} {merge:?}");
+        assert_eq!((topology.components, topology.boundary_loops), (1, 5), "{seed} {merge:?}");
+    }
+}
+
 #[test]
 fn cylinders_of_visited_branches_become_one_surface() {
     for (shape, visits) in [("bifurcation", &[0, 1][..]), ("side_branch", &[0, 1]), ("tree", &[0, 1, 2, 3])] {
@@ -126,12 +143,8 @@ fn cylinders_of_visited_branches_become_one_surface() {
             let (parts, openings) = (whole.components as i64, whole.boundary_loops as i64);
             let euler = 2 * parts - openings - 2 * branched.report.tunnels();
             assert_eq!(whole.euler_characteristic, euler, "{shape} {merge:?}: {whole:?}");
-            // Of the tree, whose branches part close to each other, every other recording is not joined so well; the report
-            // says what is not.
-            if shape != "tree" {
-                assert_eq!((parts, openings), (1, visits.len() as i64 + 1), "{shape} {merge:?}");
-                assert_eq!((branched.report.unsewn, branched.report.tunnels()), (0, 0), "{shape} {merge:?}");
-            }
+            assert_eq!((parts, openings), (1, visits.len() as i64 + 1), "{shape} {merge:?}");
+            assert_eq!((branched.report.unsewn, branched.report.tunnels()), (0, 0), "{shape} {merge:?}");
 
             let mean_mm = mean_error_mm(&surface, wall);
             let covered = coverage(&surface, &simulation.truth_recording);
