@@ -271,7 +271,8 @@ impl Part {
     /// What supports the nodes. Errors are those of a thin plate, in units of those that the sweeps found beside it.
     fn support(&self, seen: &[Seen], joined: &Joined, fits: &[TubeFit]) -> Vec<NodeSupport> {
         let count = self.nodes.len();
-        let mut sums = vec![[0.0; 3]; count];
+        // Echoes on the wall and off it, squares and sums of their distances.
+        let mut sums = vec![[0.0; 4]; count];
         let mut last_frame: Vec<Option<u32>> = vec![None; count];
         for echo in seen {
             let corners = self.surface.triangles[echo.triangle as usize];
@@ -280,6 +281,7 @@ impl Part {
             if echo.distance_mm.abs() <= ON_WALL * self.noise_mm {
                 sums[node][0] += 1.0;
                 sums[node][2] += echo.distance_mm * echo.distance_mm;
+                sums[node][3] += echo.distance_mm;
                 last_frame[node] = last_frame[node].max(Some(echo.frame));
             } else {
                 sums[node][1] += 1.0;
@@ -293,11 +295,17 @@ impl Part {
         let reach_mm = (self.smoothness_mm2 / density.max(f64::MIN_POSITIVE)).powf(0.25);
         let rounds = (reach_mm / self.edge_mm).powi(2).ceil().clamp(1.0, 40.0) as usize;
         let about = |k: usize| laplacian.spread(sums.iter().map(|s| s[k]).collect(), rounds);
-        let (own, off, squares) = (about(0), about(1), about(2));
+        let (own, off, squares, distances) = (about(0), about(1), about(2), about(3));
         let area = laplacian.spread(area_mm2, rounds);
         let plate = |n: usize| {
             let noise_mm2 = squares[n] / own[n];
             (noise_mm2 / (8.0 * (self.smoothness_mm2 * own[n] / area[n]).sqrt())).sqrt()
+        };
+        // A carina is sharper than the plate: its echoes then lie on one side, by more than their noise explains.
+        let bias = |n: usize| {
+            let mean_mm = distances[n] / own[n];
+            let of_noise_mm2 = squares[n] / own[n] / own[n];
+            (mean_mm * mean_mm - of_noise_mm2).max(0.0).sqrt()
         };
         let plates: Vec<f64> =
             (0..count).map(|n| if own[n] > 0.0 { plate(n) } else { f64::INFINITY }).collect();
@@ -317,7 +325,7 @@ impl Part {
             .map(|n| NodeSupport {
                 echoes: sums[n][0],
                 residual_mm: (squares[n] / own[n]).sqrt(),
-                standard_error_mm: plates[n] * ratio,
+                standard_error_mm: (plates[n] * ratio).hypot(bias(n)),
                 last_frame: last_frame[n],
                 supported: plates[n] <= most && off[n] <= MAX_OFF_WALL * (off[n] + own[n]),
             })
