@@ -180,6 +180,16 @@ pub(crate) fn unless_cancelled(asked: ControlFlow<()>) -> Result<()> {
 }
 
 impl Error {
+    /// The same with the number of a frame in its file in the place of that in a list.
+    pub(crate) fn with_number(self, number: impl Fn(usize) -> usize) -> Self {
+        match self {
+            Self::Frame { frame, field, found, expected } => {
+                Self::Frame { frame: number(frame), field, found, expected }
+            }
+            other => other,
+        }
+    }
+
     /// An [`Error::Read`] of a file or folder.
     pub fn read(path: impl Into<PathBuf>, source: std::io::Error) -> Self {
         Error::Read { path: path.into(), source }

@@ -142,6 +142,95 @@ pub enum Branches {
     Off,
 }
 
+/// A state of a vessel that moves periodically.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "PhaseOrName", into = "PhaseOrName")]
+#[non_exhaustive]
+pub enum MotionState {
+    /// The mean over its cycles.
+    Mean,
+    /// At a phase of all its cycles, each counted from its phase at the first frame, in cycles.
+    Phase(f64),
+}
+
+/// A state in TOML and JSON.
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum PhaseOrName {
+    Phase(f64),
+    Name(String),
+}
+
+/// What a state may be.
+const STATES: &str = "mean, or a phase from 0 to 1 in cycles";
+
+impl TryFrom<PhaseOrName> for MotionState {
+    type Error = String;
+
+    fn try_from(state: PhaseOrName) -> std::result::Result<Self, String> {
+        match state {
+            PhaseOrName::Name(name) if name == "mean" => Ok(Self::Mean),
+            PhaseOrName::Phase(phase) if (0.0..=1.0).contains(&phase) => Ok(Self::Phase(phase)),
+            PhaseOrName::Name(found) => Err(format!("found {found:?}, expected {STATES}")),
+            PhaseOrName::Phase(found) => Err(format!("found {found}, expected {STATES}")),
+        }
+    }
+}
+
+impl From<MotionState> for PhaseOrName {
+    fn from(state: MotionState) -> Self {
+        match state {
+            MotionState::Mean => Self::Name("mean".into()),
+            MotionState::Phase(phase) => Self::Phase(phase),
+        }
+    }
+}
+
+impl std::str::FromStr for MotionState {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let phase = text.parse().map_or_else(|_| PhaseOrName::Name(text.into()), PhaseOrName::Phase);
+        phase.try_into()
+    }
+}
+
+impl std::fmt::Display for MotionState {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Self::Mean => f.write_str("the mean of its cycles"),
+            Self::Phase(phase) => write!(f, "phase {phase} of its cycles"),
+        }
+    }
+}
+
+/// What becomes of a vessel that breathes or beats. By default it is reconstructed as if it did not.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
+pub struct MotionSettings {
+    /// The state that is shown: periodic motions of the whole vessel, and changes of its size, are estimated and removed where
+    /// they are significant.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shown: Option<MotionState>,
+    /// Gating instead: the frames of this window of phases alone are used, from the first to the second, in cycles from the
+    /// phase of the first frame; [0.9, 0.1] goes over the start of a cycle. The cycle is that of the longest way.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub window: Option<[f64; 2]>,
+}
+
+setters!(MotionSettings {
+    with_shown => shown: Option<MotionState>,
+    with_window => window: Option<[f64; 2]>,
+});
+
+impl MotionSettings {
+    /// Whether the vessel is reconstructed as if it did not move.
+    pub(crate) fn is_off(&self) -> bool {
+        self.shown.is_none() && self.window.is_none()
+    }
+}
+
 /// The settings of the method `sweep`. Fields that are `None` are chosen from the recording.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -229,6 +318,9 @@ pub struct Settings {
     pub merge: Merge,
     /// The settings of the method `sweep`.
     pub sweep: SweepSettings,
+    /// What becomes of a vessel that breathes or beats.
+    #[serde(skip_serializing_if = "MotionSettings::is_off")]
+    pub motion: MotionSettings,
     /// `eTi`, the probe in the tracker sensor's frame.
     pub calibration: Calibration,
     /// What is done with frames that are unfit.
@@ -254,6 +346,7 @@ impl Default for Settings {
             every: 10,
             merge: Merge::Stitch,
             sweep: SweepSettings::default(),
+            motion: MotionSettings::default(),
             calibration: Calibration::default(),
             unfit_frames: UnfitFrames::default(),
             conventions: Conventions::default(),
@@ -278,6 +371,7 @@ setters!(Settings {
     with_every => every: u32,
     with_merge => merge: Merge,
     with_sweep => sweep: SweepSettings,
+    with_motion => motion: MotionSettings,
     with_calibration => calibration: Calibration,
 });
 
@@ -416,6 +510,27 @@ impl Settings {
         if let Some(half_life_s) = self.sweep.half_life_s.filter(|s| !(1e-3..=1e9).contains(s)) {
             return fail("sweep.half_life_s", format!("{half_life_s:?}"), "0.001 to 1e9 s");
         }
+        if let Some(MotionState::Phase(phase)) = self.motion.shown
+            && !(0.0..=1.0).contains(&phase)
+        {
+            return fail("motion.shown", format!("{phase:?}"), STATES);
+        }
+        if let Some([from, to]) = self.motion.window {
+            if ![from, to].iter().all(|phase| (0.0..=1.0).contains(phase)) || from == to {
+                return fail(
+                    "motion.window",
+                    format!("[{from:?}, {to:?}]"),
+                    "two different phases from 0 to 1",
+                );
+            }
+            if self.motion.shown.is_some() {
+                return fail(
+                    "motion.window",
+                    format!("[{from:?}, {to:?}]"),
+                    "none where motion.shown is set",
+                );
+            }
+        }
         let norm = DQuat::from_array(self.calibration.quaternion).length();
         if !norm.is_finite() || (norm - 1.0).abs() >= 1e-3 {
             return fail(
@@ -449,7 +564,7 @@ const OLD_BRANCHES: &str = "sweep.branches";
 
 /// Whether a setting may be absent.
 fn name_of_optional(name: &str) -> bool {
-    ["adapter", "sweep.nodes", "sweep.half_life_s"].contains(&name)
+    ["adapter", "sweep.nodes", "sweep.half_life_s", "motion.shown", "motion.window"].contains(&name)
 }
 
 #[cfg(test)]

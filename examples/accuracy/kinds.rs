@@ -46,9 +46,9 @@ pub(super) fn named(wanted: Option<&str>) -> impl Iterator<Item = (&'static str,
     std::iter::once(("none", None)).chain(kinds).filter(move |(name, _)| is_wanted(name))
 }
 
-/// A recording with that kind of error, or with independent noise only, of 72 rays in a frame.
+/// A recording with these kinds of errors, or with independent noise only, of 72 rays in a frame.
 pub(super) fn simulated(
-    kind: Option<FaultKind>,
+    kinds: impl IntoIterator<Item = FaultKind>,
     vessel: &str,
     insertion: Insertion,
     seed: u64,
@@ -60,9 +60,7 @@ pub(super) fn simulated(
         .with_insertion(insertion)
         .with_probe(Probe::default().with_rays(72))
         .with_noise(noise.with_position_sd_mm(0.03 * radius_mm));
-    if let Some(kind) = kind {
-        kind.apply(&mut settings, radius_mm);
-    }
+    kinds.into_iter().for_each(|kind| kind.apply(&mut settings, radius_mm));
     Simulation::run(vessel, &settings)
 }
 

@@ -10,6 +10,8 @@
 //! cargo run --release --example accuracy -- --standard-errors drift # those kinds; prints only
 //! cargo run --release --example accuracy -- --live                  # the live sweep beside the whole recording's, all kinds
 //! cargo run --release --example accuracy -- --live none,glitch      # those kinds; prints only
+//! cargo run --release --example accuracy -- --motion                # vessels that breathe and beat; writes their table
+//! cargo run --release --example accuracy -- --motion heart          # motions with that in their names; prints only
 //! ```
 //!
 //! `LUMENMESH_SHARED` names the folder with `recordings/` and `data/` (default: `../shared`), `LUMENMESH_PYTHON` a
@@ -21,6 +23,7 @@ mod certainty;
 mod data;
 mod kinds;
 mod live;
+mod motion;
 
 use data::shared_path as shared;
 use glam::DVec3;
@@ -85,6 +88,7 @@ fn main() -> ExitCode {
         Some("--kinds") => kinds::run(second.as_deref()).map(|()| true),
         Some("--standard-errors") => certainty::run(second.as_deref()).map(|()| true),
         Some("--live") => live::run(second.as_deref()).map(|()| true),
+        Some("--motion") => motion::run(second.as_deref()).map(|()| true),
         wanted => run(wanted),
     };
     match done {

@@ -24,7 +24,7 @@ pub use tree::{BranchPath, BranchTree, Dismissed};
 use crate::recording::Recording;
 use crate::settings::Settings;
 use crate::surface::Surface;
-use crate::sweep::{StageProgress, Support, Sweep, WallDevice};
+use crate::sweep::{StageProgress, StateError, Support, Sweep, WallDevice};
 use crate::{Error, Result};
 use echoes::WorldEchoes;
 use fit::{NodeSupport, TubeFit};
@@ -125,6 +125,21 @@ impl BranchedSweep {
         let supported = supported_part(&whole);
         let report = BranchesReport::of(recording, &tree, &sweeps, [&whole, &supported], unsewn, seconds);
         Ok(Some(Self { tree, sweeps, mouths, report, whole, supported }))
+    }
+
+    /// As [`Sweep::add_error`].
+    pub(crate) fn add_error(&mut self, error: &StateError) {
+        self.sweeps.iter_mut().for_each(|sweep| sweep.add_error(error));
+        let normals = self.whole.node_normals();
+        let array = |name: &str| self.whole.array(name).unwrap_or_default();
+        let of_node = array("standard_error_mm").iter().zip(array("branch")).zip(normals);
+        let with_error = of_node.map(|((standard_mm, branch), normal)| {
+            let radius_mm = self.sweeps[*branch as usize].report.contour_radius_mm;
+            standard_mm.hypot(error.variance_mm2(normal, radius_mm).sqrt())
+        });
+        let with_error = with_error.collect();
+        self.whole.set_array("standard_error_mm", with_error);
+        self.supported = supported_part(&self.whole);
     }
 
     /// The vessel as one triangle surface, normals outward, open at its ends; without the nodes that are not supported,

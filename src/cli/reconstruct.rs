@@ -91,6 +91,7 @@ impl Arguments {
             return print_json(&Output { recording, mesh, summary: lumen.summary() });
         }
         print_report(report);
+        lumen.motion().into_iter().for_each(print_motion);
         print_mouths(lumen.mouths());
         print_screening(lumen.screening());
         println!("mesh       {}", self.output.display());
@@ -393,6 +394,51 @@ fn print_errors(errors: &sweep::RecordingErrors) {
         errors.seen_for_s
     );
     println!("           the wall is as rough as {:.3}, measured as --roughness is", errors.roughness);
+}
+
+/// The motion of the vessel.
+fn print_motion(motion: &sweep::Motion) {
+    let sweep::Motion { cycles, noise_before_mm, noise_mm, .. } = motion;
+    let frames = format!("{} frames of the window of phases are used", motion.frames);
+    if cycles.is_empty() && motion.shown.is_none() {
+        println!("motion     {frames}");
+        return;
+    }
+    if cycles.is_empty() {
+        println!("motion     none that is significant: the vessel is as without --motion");
+        return;
+    }
+    for (number, cycle) in cycles.iter().enumerate() {
+        let sweep::Cycle { frequency_hz, frequency_standard_error_hz, .. } = cycle;
+        print!("{}", if number == 0 { "motion     " } else { "           " });
+        print!("at {frequency_hz:.4} ± {frequency_standard_error_hz:.4} Hz");
+        if cycle.way_mm > 0.0 {
+            print!(", over {:.2} ± {:.2} mm", cycle.way_mm, cycle.way_standard_error_mm);
+        }
+        if cycle.size_change > 0.0 {
+            let [change, error] = [cycle.size_change, cycle.size_change_standard_error].map(|x| 100.0 * x);
+            print!(", radius by {change:.1} ± {error:.1} %");
+        }
+        println!("; rests longest at phase {:.2}", cycle.rest_phase);
+        if motion.shown.is_some() {
+            println!(
+                "           the farthest of its states is {:.2} mm and {:.1} % of the radius from the one that is shown",
+                cycle.farthest_mm,
+                100.0 * cycle.largest_difference
+            );
+        }
+    }
+    match motion.shown {
+        Some(state) => {
+            let [x, y, z] = motion.place_standard_error_mm;
+            println!(
+                "           shown at {state}; standard errors of the place ({x:.3}, {y:.3}, {z:.3}) mm, of the radius {:.2} %",
+                100.0 * motion.size_standard_error
+            );
+            println!("           noise of {noise_before_mm:.3} mm with the motion, {noise_mm:.3} mm without");
+        }
+        None => println!("           {frames}"),
+    }
 }
 
 /// How long errors stay alike.

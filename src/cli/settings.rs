@@ -1,7 +1,9 @@
 use super::conventions::ConventionArguments;
 use super::numbers;
 use crate::recording::Recording;
-use crate::settings::{Backend, Branches, Merge, Method, Outliers, Settings, Statistic, UnfitFrames};
+use crate::settings::{
+    Backend, Branches, Merge, Method, MotionState, Outliers, Settings, Statistic, UnfitFrames,
+};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -74,6 +76,13 @@ pub(super) struct SettingsArguments {
     /// [default: all count alike]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     half_life: Option<f64>,
+    /// Of a vessel that breathes or beats: estimate its periodic motion, and show it as it is in the mean, or at this phase in
+    /// cycles, 0 as in the first frame
+    #[arg(long, value_name = "mean|PHASE", allow_negative_numbers = true)]
+    motion: Option<MotionState>,
+    /// Of the same: use the frames of these phases only
+    #[arg(long, value_name = "FROM,TO", value_parser = numbers::<2>, allow_hyphen_values = true, conflicts_with = "motion")]
+    phase_window: Option<[f64; 2]>,
     /// Probe in the tracker sensor's frame: position in mm and unit quaternion [default: 0,0,0,0,0,0,1]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = numbers::<7>, allow_hyphen_values = true)]
     calibration: Option<[f64; 7]>,
@@ -140,6 +149,12 @@ impl SettingsArguments {
         settings.sweep.estimate_offset |= self.estimate_offset;
         if self.half_life.is_some() {
             settings.sweep.half_life_s = self.half_life;
+        }
+        if self.motion.is_some() {
+            (settings.motion.shown, settings.motion.window) = (self.motion, None);
+        }
+        if self.phase_window.is_some() {
+            (settings.motion.shown, settings.motion.window) = (None, self.phase_window);
         }
         if let Some([x, y, z, qx, qy, qz, qw]) = self.calibration {
             settings.calibration.position_mm = [x, y, z];

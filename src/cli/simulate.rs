@@ -118,6 +118,9 @@ struct SettingsArguments {
     /// Give every frame its local cylinder
     #[arg(long)]
     cylinders: bool,
+    /// Give every frame the phase of the heart, as from an ECG
+    #[arg(long)]
+    heart_phase: bool,
     /// Seed of the random numbers [default: 1]
     #[arg(long)]
     seed: Option<u64>,
@@ -178,6 +181,7 @@ struct Config {
     noise: Noise,
     faults: Faults,
     cylinders: bool,
+    heart_phase: bool,
 }
 
 /// What `--json` prints.
@@ -238,6 +242,7 @@ impl Arguments {
             noise: config.noise,
             faults: config.faults,
             cylinders: config.cylinders,
+            heart_phase: config.heart_phase,
         };
         let tracker = self.settings.override_settings(&mut settings, &|settings| {
             self.faults.apply(settings, &vessel);
@@ -321,7 +326,7 @@ impl SettingsArguments {
                 *field = value;
             }
         }
-        let SimulationSettings { insertion, probe, noise, cylinders, .. } = &mut *settings;
+        let SimulationSettings { insertion, probe, noise, cylinders, heart_phase, .. } = &mut *settings;
         set(&mut insertion.branch, self.branch);
         if !self.branches.is_empty() {
             insertion.visits = self.branches.clone();
@@ -337,6 +342,7 @@ impl SettingsArguments {
         set(&mut probe.rays, self.rays);
         set(&mut probe.range_mm, self.range);
         *cylinders |= self.cylinders;
+        *heart_phase |= self.heart_phase;
         match self.noise {
             Some(Level::None) => *noise = Noise { seed: noise.seed, ..Noise::none() },
             Some(Level::Thesis) => *noise = Noise { seed: noise.seed, ..Noise::default() },

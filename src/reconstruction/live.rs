@@ -27,7 +27,7 @@ use crate::cylinders::live::{LiveCylinders, MAX_FRAMES_AT_REST, REST_MM};
 use crate::cylinders::{Engine, engine};
 use crate::engine::EngineDescription;
 use crate::recording::{Cleaning, Frame, Judged, LeftOut, LiveScreening, Reason, Recording};
-use crate::settings::{Backend, Method, Settings, UnfitFrames};
+use crate::settings::{Backend, Method, MotionSettings, Settings, UnfitFrames};
 use crate::surface::Surface;
 use crate::sweep::{LiveSweep, Step};
 use crate::{Error, Result};
@@ -57,6 +57,7 @@ pub(super) enum Vessel {
 
 impl Vessel {
     fn new(settings: &Settings) -> Result<Self> {
+        check_motion(settings)?;
         Ok(match settings.method {
             Method::Cylinders => {
                 Vessel::Cylinders(Box::new(LiveCylinders::new(settings, engine(settings)?)?))
@@ -423,6 +424,20 @@ impl Live {
             Vessel::Cylinders(cylinders) => cylinders.vessel().part(rings),
             Vessel::Sweep(sweep) => sweep.surface(rings, true),
         }
+    }
+}
+
+/// Refuses what neither method does live.
+fn check_motion(settings: &Settings) -> Result<()> {
+    let refused = |name: &'static str, found: String| {
+        Err(Error::setting(name, found, "none live: periods show in a whole recording only"))
+    };
+    match settings.motion {
+        MotionSettings { shown: Some(state), .. } => refused("motion.shown", state.to_string()),
+        MotionSettings { window: Some([from, to]), .. } => {
+            refused("motion.window", format!("[{from:?}, {to:?}]"))
+        }
+        _ => Ok(()),
     }
 }
 

@@ -11,10 +11,11 @@ use crate::branching::{
     self, BranchedCylinders, BranchedSweep, BranchesReport, CylinderBranchesReport, Mouth,
 };
 use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, FittedCylinder, engine};
+use crate::error::unless_cancelled;
 use crate::recording::{Recording, Screened, Screening};
 use crate::settings::{Branches, Method, Settings};
 use crate::surface::Surface;
-use crate::sweep::{Sweep, SweepReport, WallDevice};
+use crate::sweep::{AtRest, Motion, Sweep, SweepReport, WallDevice, at_rest};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::ops::ControlFlow;
@@ -99,13 +100,18 @@ impl<'a> Reconstructor<'a> {
         let Screened { recording, screening } =
             Screened::of(recording, &self.settings.conventions, self.settings.unfit_frames)?;
         let recording = &*recording;
-        let named = |error: Error| match error {
-            Error::Frame { frame, field, found, expected } => {
-                Error::Frame { frame: recording.number(frame), field, found, expected }
+        let moving = match self.settings.motion.is_off() {
+            true => None,
+            false => {
+                let stage = Progress { stage: "following the motion", done: 0, total: 1 };
+                let going_on = || unless_cancelled((self.on_progress)(stage));
+                recording.check()?;
+                Some(at_rest(recording, &self.settings, &going_on)?)
             }
-            other => other,
         };
-        let vessel = match self.settings.method {
+        let recording = moving.as_ref().and_then(|moving| moving.recording.as_ref()).unwrap_or(recording);
+        let named = |error: Error| error.with_number(|frame| recording.number(frame));
+        let mut vessel = match self.settings.method {
             Method::Cylinders => {
                 let tell =
                     |done, total| (self.on_progress)(Progress { stage: "fitting cylinders", done, total });
@@ -148,7 +154,15 @@ impl<'a> Reconstructor<'a> {
                 }
             }
         };
-        Ok(Lumen { settings: self.settings.clone(), screening, vessel })
+        let motion = moving.map(|AtRest { motion, error, .. }| {
+            match &mut vessel {
+                Vessel::Sweep(sweep, _) => sweep.add_error(&error),
+                Vessel::Branches(branched) => branched.add_error(&error),
+                Vessel::Cylinders(_) | Vessel::CylinderBranches(_) => {}
+            }
+            motion
+        });
+        Ok(Lumen { settings: self.settings.clone(), screening, motion, vessel })
     }
 
     /// The engine that the settings ask for, started by the first call.
@@ -166,6 +180,7 @@ impl<'a> Reconstructor<'a> {
 pub struct Lumen {
     settings: Settings,
     screening: Screening,
+    motion: Option<Motion>,
     vessel: Vessel,
 }
 
@@ -203,6 +218,9 @@ pub struct Summary<'a> {
     pub settings: &'a Settings,
     /// The frames that were left out, and why.
     pub screening: &'a Screening,
+    /// The motion of the vessel, where the settings ask for it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motion: Option<&'a Motion>,
     /// The mouths of branches that were seen but not entered, where the method looks for them.
     pub mouths: &'a [Mouth],
     /// What was done, in numbers; in JSON beside those above.
@@ -216,6 +234,7 @@ impl Lumen {
         Summary {
             settings: &self.settings,
             screening: &self.screening,
+            motion: self.motion.as_ref(),
             mouths: self.mouths(),
             report: self.report(),
         }
@@ -239,6 +258,11 @@ impl Lumen {
     /// The frames that were left out, and why.
     pub fn screening(&self) -> &Screening {
         &self.screening
+    }
+
+    /// The motion of the vessel; `None` unless the settings ask for it.
+    pub fn motion(&self) -> Option<&Motion> {
+        self.motion.as_ref()
     }
 
     /// The lumen as a triangle surface with arrays per node: [`MergedVessel::surface`](crate::cylinders::merge::MergedVessel::surface),

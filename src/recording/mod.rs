@@ -58,10 +58,15 @@ pub struct Frame {
     pub rotation_error: Option<f64>,
     /// The frame's number in its file, where that is not its place in the recording. See [`Recording::number`].
     pub number: Option<usize>,
+    /// The phase of the heart, or of another cycle, when the frame was taken, in cycles: as from the R peaks of an ECG, 0 at
+    /// each. The whole part does not count.
+    // Live vessels, whose states are stored, do without.
+    #[serde(skip)]
+    pub phase: Option<f64>,
 }
 
 impl Frame {
-    /// A frame without a time, a cylinder or a number of its own.
+    /// A frame without a time, a phase, a cylinder or a number of its own.
     pub fn new(world_from_sensor: Pose, contour_mm: Vec<DVec2>) -> Self {
         Self {
             world_from_sensor,
@@ -70,7 +75,15 @@ impl Frame {
             cylinder: None,
             rotation_error: None,
             number: None,
+            phase: None,
         }
+    }
+
+    /// Sets the phase.
+    #[must_use]
+    pub fn with_phase(mut self, phase: Option<f64>) -> Self {
+        self.phase = phase;
+        self
     }
 
     /// Sets the time.
@@ -392,7 +405,7 @@ impl Frame {
     }
 
     /// The defects that make the frame unusable, at most one per quantity: a pose that is not finite or not a rotation, a
-    /// time that is not finite, a contour point with one coordinate missing or farther than 1 km from the probe, a cylinder that is not finite or whose
+    /// time or a phase that is not finite, a contour point with one coordinate missing or farther than 1 km from the probe, a cylinder that is not finite or whose
     /// radius is not positive or larger than that of any vessel.
     pub fn defects(&self) -> Vec<Defect> {
         let position = self.world_from_sensor.translation_mm;
@@ -414,6 +427,9 @@ impl Frame {
         }
         if let Some(t) = self.time_s.filter(|t| !t.is_finite()) {
             add("time", t.to_string(), "a finite number of seconds");
+        }
+        if let Some(phase) = self.phase.filter(|phase| !phase.is_finite()) {
+            add("phase", phase.to_string(), "a finite number of cycles");
         }
         let is_echo = |p: &DVec2| p.abs().max_element() <= MAX_POSITION_MM && !p.is_nan();
         let is_missing = |p: &DVec2| p.x.is_nan() && p.y.is_nan();

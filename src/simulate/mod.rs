@@ -72,6 +72,9 @@ pub struct SimulationSettings {
     /// Whether every frame carries a local cylinder: the tangent of the centreline at its point nearest to the
     /// tip, and the inscribed radius there, with the noise that [`Noise`] asks for.
     pub cylinders: bool,
+    /// Whether every frame carries the phase of the heart, as from an ECG: 0 where the recording begins.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub heart_phase: bool,
 }
 
 setters!(SimulationSettings {
@@ -80,6 +83,7 @@ setters!(SimulationSettings {
     with_noise => noise: Noise,
     with_faults => faults: Faults,
     with_cylinders => cylinders: bool,
+    with_heart_phase => heart_phase: bool,
 });
 
 impl SimulationSettings {
@@ -253,7 +257,9 @@ fn frame(
     let cylinder_noise = of_frame.cylinder();
     let cylinder = settings.cylinders.then(|| local_cylinder(path, time_s, &tip, cylinder_noise)).flatten();
     let true_contour = contour(&true_ranges, probe, |range, direction| direction * range);
-    let truth = Frame::new(tip, true_contour).with_time_s(Some(time_s)).with_cylinder(true_cylinder);
+    let phase = settings.heart_phase.then_some(noise.pulsation_rate_hz * time_s);
+    let of_time = |frame: Frame| frame.with_time_s(Some(time_s)).with_phase(phase);
+    let truth = of_time(Frame::new(tip, true_contour)).with_cylinder(true_cylinder);
     let angles: Vec<f64> = (0..probe.rays).map(|ray| probe.angle_rad(ray)).collect();
     // A missing echo stays one: the larger of NaN and 0 would be 0.
     let not_behind = |range: f64| if range < 0.0 { 0.0 } else { range };
@@ -261,7 +267,7 @@ fn frame(
         ranges.iter().zip(&angles).map(|(range, &angle)| not_behind(range + course.smooth_mm(tick, angle)));
     let noisy_contour = noisy_contour(&off.collect::<Vec<_>>(), probe, &mut of_frame);
     let noisy_contour = course.contour_mm(tick, time_s, &angles, noisy_contour);
-    let recorded = Frame::new(tracked, noisy_contour).with_time_s(Some(time_s)).with_cylinder(cylinder);
+    let recorded = of_time(Frame::new(tracked, noisy_contour)).with_cylinder(cylinder);
     (recorded, truth)
 }
 

@@ -8,6 +8,7 @@
 
 mod errors;
 mod live;
+mod motion;
 mod prepare;
 mod report;
 mod support;
@@ -17,6 +18,8 @@ pub(crate) mod wall;
 
 pub use errors::{AlikeErrors, Beat, RecordingErrors};
 pub(crate) use live::{LiveSweep, Step};
+pub(crate) use motion::{AtRest, StateError, at_rest};
+pub use motion::{Cycle, Motion};
 pub(crate) use prepare::BEYOND_RADII;
 pub use prepare::axis::Axis;
 pub(crate) use prepare::contour::Outline;
@@ -186,6 +189,15 @@ impl Sweep {
         let Prepared { axis, grid, .. } = prepared;
         progress("done", STAGES)?;
         Ok(Self { axis, nodes: grid.nodes, radii_mm: fitted.wall.radii_mm, support, report })
+    }
+
+    /// Adds the error of the state that the vessel is shown in to the nodes' standard errors.
+    pub(crate) fn add_error(&mut self, error: &StateError) {
+        let normals = self.surface(true).node_normals();
+        let of_nodes = self.support.standard_error_mm.iter_mut().zip(normals).zip(&self.radii_mm);
+        for ((standard_mm, normal), radius_mm) in of_nodes {
+            *standard_mm = standard_mm.hypot(error.variance_mm2(normal, *radius_mm).sqrt());
+        }
     }
 
     /// Standard deviation of an echo along the wall, mm: its own noise, and shifts of whole frames.

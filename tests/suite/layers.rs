@@ -32,6 +32,7 @@ const ORDER: &[&str] = &[
     "sweep::tracker",
     "sweep::errors",
     "sweep::surface",
+    "sweep::motion",
     "sweep::live",
     "sweep::report",
     "sweep",

@@ -38,6 +38,7 @@ mod matlab;
 mod mcap;
 mod mesh_files;
 mod method;
+mod motion;
 #[cfg(feature = "cli")]
 mod mouths;
 #[cfg(feature = "cli")]

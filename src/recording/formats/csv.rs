@@ -2,7 +2,7 @@
 //!
 //! | file | columns |
 //! |---|---|
-//! | `poses.csv` | `frame,time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw`: the tracker sensor in the world; `time_s` may be absent or empty |
+//! | `poses.csv` | `frame,time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw`: the tracker sensor in the world; `time_s` may be absent or empty; so may a column `phase`, of the heart, in cycles |
 //! | `contours.csv` | `frame,x_mm,y_mm`, one line per ray, or `frame,x0_mm,y0_mm,x1_mm,…`, one per frame; empty: no echo |
 //! | `cylinders.csv` | `frame,px_mm,py_mm,theta_rad,phi_rad,radius_mm`, where there are models |
 //!
@@ -94,6 +94,7 @@ fn read_poses(path: &Path, names: Option<&[String]>) -> Result<BTreeMap<usize, F
     let mut table = Table::open_named(path, names)?;
     let frame_column = table.column("frame")?;
     let time = table.optional_column("time_s")?;
+    let phase = table.optional_column("phase_cycles")?;
     let columns = table.columns(["x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"], 0)?;
     let mut statuses = StatusColumn::all(&table);
     let mut frames = BTreeMap::new();
@@ -104,16 +105,17 @@ fn read_poses(path: &Path, names: Option<&[String]>) -> Result<BTreeMap<usize, F
         {
             return Err(table.fault(&row, frame_column, number, format!("a number above {last}")));
         }
-        let time_s = match time {
-            Some(column) => table.optional_number(&row, column)?,
-            None => None,
+        let number_in = |column| match column {
+            Some(column) => table.optional_number(&row, column),
+            None => Ok(None),
         };
+        let (time_s, phase) = (number_in(time)?, number_in(phase)?);
         let mut lost = false;
         for status in &mut statuses {
             lost |= status.is_lost(&table, &row)?;
         }
         let pose = if lost { Pose::LOST } else { pose(&table, &row, &columns)? };
-        frames.insert(number, Frame::new(pose, Vec::new()).with_time_s(time_s));
+        frames.insert(number, Frame::new(pose, Vec::new()).with_time_s(time_s).with_phase(phase));
     }
     Ok(frames)
 }
@@ -226,11 +228,15 @@ fn locked(folder: &Path, what_for: Use) -> Option<File> {
 fn write_files(recording: &Recording, folder: &Path) -> Result<()> {
     let frames = || rising_numbers(recording).zip(&recording.frames);
     write_atomically(&folder.join(POSES), |file| {
-        writeln!(file, "frame,time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw")?;
+        let has_phases = recording.frames.iter().any(|frame| frame.phase.is_some());
+        let name = if has_phases { ",phase" } else { "" };
+        writeln!(file, "frame,time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw{name}")?;
         for (k, frame) in frames() {
-            let time = frame.time_s.map(|t| t.to_string()).unwrap_or_default();
+            let text = |number: Option<f64>| number.map(|x| x.to_string()).unwrap_or_default();
+            let time = text(frame.time_s);
+            let phase = if has_phases { format!(",{}", text(frame.phase)) } else { String::new() };
             let (p, q) = (frame.world_from_sensor.translation_mm, frame.world_from_sensor.quaternion());
-            writeln!(file, "{k},{time},{},{},{},{},{},{},{}", p.x, p.y, p.z, q.x, q.y, q.z, q.w)?;
+            writeln!(file, "{k},{time},{},{},{},{},{},{},{}{phase}", p.x, p.y, p.z, q.x, q.y, q.z, q.w)?;
         }
         Ok(())
     })?;

@@ -7,6 +7,7 @@
 //! | `x_data`, `y_data` | F×M | the contours, mm; NaN: no echo on that ray |
 //! | `rays` | F×1, optional | rays per frame where they differ: the rest of a row is padding |
 //! | `time_s` | F×1, optional | time, s; NaN: not known |
+//! | `phase` | F×1, optional | phase of the heart, cycles; NaN: not known |
 //! | `frame_number` | F×1, optional | the frames' numbers, rising; by default from 0 |
 //! | `cyl_px`, `cyl_py`, `theta`, `phi`, `rad` | F×1, all or none | the local cylinders, mm and rad; all NaN: none |
 //!
@@ -47,7 +48,8 @@ const UNORDERED_QUATERNIONS: [&str; 5] = ["quat", "quats", "quaternion", "quater
 const TRANSFORMS: [&str; 8] = ["wTe", "T", "tform", "tforms", "transform", "transforms", "pose", "poses"];
 const CONTOURS: [&str; 2] = ["contours", "contour"];
 const FLAGS: [&str; 3] = ["valid", "is_valid", "ok"];
-const OTHERS: [&str; 8] = ["rotm", "Ep", "x_data", "y_data", "rays", "time_s", "frame_number", "status"];
+const OTHERS: [&str; 9] =
+    ["rotm", "Ep", "x_data", "y_data", "rays", "time_s", "phase", "frame_number", "status"];
 
 /// The names of all variables that a recording may have.
 fn names() -> Vec<&'static str> {
@@ -68,6 +70,7 @@ pub(in crate::recording) fn read_by_ending(path: &Path) -> Result<Recording> {
     let frames = poses.len();
     let contours = variables.contours(frames)?;
     let times = variables.column("time_s", frames)?;
+    let phases = variables.column("phase", frames)?;
     let numbers = variables.frame_numbers(frames)?;
     let cylinders = variables.cylinders(frames)?;
     let lost = variables.lost(frames);
@@ -76,6 +79,7 @@ pub(in crate::recording) fn read_by_ending(path: &Path) -> Result<Recording> {
     let frame = |(k, (pose, contour_mm)): (usize, (Pose, Vec<DVec2>))| {
         let mut frame = Frame::new(if lost[k] { Pose::LOST } else { pose }, contour_mm)
             .with_time_s(times.as_ref().map(|t| t[k]).filter(|t| !t.is_nan()))
+            .with_phase(phases.as_ref().map(|p| p[k]).filter(|p| !p.is_nan()))
             .with_cylinder(cylinders.as_ref().and_then(|c| cylinder([0, 1, 2, 3, 4].map(|i| c[i][k]))))
             .with_number(numbers.as_ref().map(|n| n[k]).filter(|&number| number != k));
         frame.orthonormalise();
@@ -614,6 +618,9 @@ pub(in crate::recording) fn write(recording: &Recording, path: &Path) -> Result<
     }
     if frames.iter().any(|f| f.time_s.is_some()) {
         variables.push(("time_s", column(&|f| f.time_s.unwrap_or(f64::NAN))));
+    }
+    if frames.iter().any(|f| f.phase.is_some()) {
+        variables.push(("phase", column(&|f| f.phase.unwrap_or(f64::NAN))));
     }
     if frames.iter().any(|f| f.number.is_some()) {
         let values = rising_numbers(recording).map(|number| number as f64).collect();

@@ -9,6 +9,7 @@
 //! | `pose` | the sensor in the world, a 4×4 matrix row by row (16 numbers, or four rows of four), mm; `null`: no pose |
 //! | `contour` | points [x, y] in the probe's plane, mm, one per ray; `null` for a ray without an echo, or for no contour at all |
 //! | `time_s` | may be absent or `null` |
+//! | `phase` | phase of the heart, in cycles; may be absent or `null` |
 //! | `frame` | the frame's number, where that is not its place; may be absent |
 //! | `cylinder` | the frame's [`CylinderModel`], by the names of its fields; may be absent |
 //!
@@ -31,13 +32,13 @@ const LONGEST_LINE: usize = 1 << 24;
 /// What a line should be, for messages.
 const FORM: &str = "{\"time_s\": s, \"pose\": [16 numbers] or null, \"contour\": [[x, y] or null, …]}";
 /// The members of a frame.
-const MEMBERS: [&str; 5] = ["time_s", "pose", "contour", "frame", "cylinder"];
+const MEMBERS: [&str; 6] = ["time_s", "phase", "pose", "contour", "frame", "cylinder"];
 /// The members of a cylinder.
 const OF_CYLINDER: [&str; 5] = ["px_mm", "py_mm", "theta_rad", "phi_rad", "radius_mm"];
 
 impl Frame {
     /// A frame from one line of NDJSON: `{"time_s": 1.25, "pose": [16 numbers, row by row, mm] or null,
-    /// "contour": [[x, y], …] in mm, null for no echo}`, optionally with `frame` (its number) and `cylinder`.
+    /// "contour": [[x, y], …] in mm, null for no echo}`, optionally with `frame` (its number), `phase` (of the heart, in cycles) and `cylinder`.
     ///
     /// # Errors
     /// [`Error::Recording`] that names all members that are unknown, missing or of another kind.
@@ -56,6 +57,7 @@ impl Frame {
         let line = Line {
             frame: self.number,
             time_s: self.time_s,
+            phase: self.phase,
             pose: is_whole.then_some(pose.as_flattened()),
             contour: self.contour_mm.iter().map(point).collect(),
             cylinder: self.cylinder,
@@ -70,6 +72,8 @@ struct Line<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     frame: Option<usize>,
     time_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    phase: Option<f64>,
     pose: Option<&'a [f64]>,
     contour: Vec<Option<[f64; 2]>>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -100,6 +104,7 @@ pub(super) fn frame_of(members: &Map<String, Value>) -> Result<Frame, String> {
     took(
         number(members.get("time_s")).map(|time_s| frame.time_s = time_s).map_err(|e| format!("time_s: {e}")),
     );
+    took(number(members.get("phase")).map(|phase| frame.phase = phase).map_err(|e| format!("phase: {e}")));
     took(
         pose(members.get("pose"))
             .map(|pose| frame.world_from_sensor = pose)

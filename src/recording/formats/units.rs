@@ -28,6 +28,7 @@ impl Unit {
             "ns" => (Quantity::Time, 1e-9),
             "rad" | "radians" => (Quantity::Angle, 1.0),
             "deg" | "°" | "degrees" => (Quantity::Angle, std::f64::consts::PI / 180.0),
+            "cycles" => (Quantity::Angle, std::f64::consts::TAU),
             _ => return None,
         };
         Some(Self { quantity, size })
@@ -48,7 +49,7 @@ impl Unit {
         match self.quantity {
             Quantity::Length => "mm, cm, m, um",
             Quantity::Time => "s, ms, us, ns",
-            Quantity::Angle => "rad, deg",
+            Quantity::Angle => "rad, deg, cycles",
         }
     }
 }

@@ -10,8 +10,8 @@
 //! same way, so that smoothing can follow the vessel.
 
 mod moments;
-mod process;
-mod smoother;
+pub(super) mod process;
+pub(super) mod smoother;
 
 use super::prepare::echo::Echo;
 use super::prepare::grid::WallGrid;

@@ -146,49 +146,67 @@ const FREQUENCIES: usize = 64;
 
 /// The frequency at which values of the frames oscillate, Hz, if one stands out in the sum of their powers.
 pub(super) fn frequency_hz(times_s: &[f64], values: &[&[f64]]) -> Option<f64> {
-    let from = times_s.len().saturating_sub(MAX_FRAMES) / 2;
-    let times_s = &times_s[from..times_s.len().min(from + MAX_FRAMES)];
-    let (first, last) = (times_s.first()?, times_s.last()?);
-    let span_s = last - first;
-    let count = times_s.len() as f64;
-    // Up to half the frame rate.
-    let steps = count as usize;
-    if span_s.is_nan() || span_s <= 0.0 {
-        return None;
-    }
-    let wave = |turns: f64| -> Vec<[f64; 2]> {
-        let at = |t: &f64| {
-            let (sin, cos) = (TAU * turns * t).sin_cos();
-            [cos, sin]
-        };
-        times_s.iter().map(at).collect()
-    };
-    let least = (2.0 * MIN_PERIODS) as usize;
-    let of_step = wave(0.5 / span_s);
-    let powers_of = |first: usize| -> Vec<f64> {
-        let mut waves = wave(0.5 * first as f64 / span_s);
-        let power = |waves: &[[f64; 2]], values: &[f64]| {
-            let [re, im] = waves
-                .iter()
-                .zip(values)
-                .fold([0.0; 2], |[re, im], ([cos, sin], value)| [re + value * cos, im + value * sin]);
-            re * re + im * im
-        };
-        (first..(first + FREQUENCIES).min(steps))
-            .map(|_| {
-                let sum = values.iter().map(|values| power(&waves, &values[from..])).sum();
-                for ([cos, sin], [x, y]) in waves.iter_mut().zip(&of_step) {
-                    (*cos, *sin) = (*cos * x - *sin * y, *sin * x + *cos * y);
-                }
-                sum
-            })
-            .collect()
-    };
-    let firsts: Vec<usize> = (least..steps).step_by(FREQUENCIES).collect();
-    let powers: Vec<f64> = firsts.into_par_iter().flat_map_iter(powers_of).collect();
+    let Spectrum { first, step_hz, powers } = Spectrum::of(times_s, values)?;
     let mean = powers.iter().sum::<f64>() / powers.len().max(1) as f64;
     let best = (0..powers.len()).max_by(|&a, &b| powers[a].total_cmp(&powers[b]).then(b.cmp(&a)))?;
-    (powers[best] > MIN_POWER * mean).then(|| 0.5 * (least + best) as f64 / span_s)
+    (powers[best] > MIN_POWER * mean).then(|| (first + best) as f64 * step_hz)
+}
+
+/// Powers of values of the frames, from [`MIN_PERIODS`] in the recording to half the frame rate.
+pub(in crate::sweep) struct Spectrum {
+    /// The first frequency, in steps.
+    pub first: usize,
+    /// From one frequency to the next, Hz.
+    pub step_hz: f64,
+    /// At each frequency the sum over the values.
+    pub powers: Vec<f64>,
+}
+
+impl Spectrum {
+    /// `None` where the frames span no time.
+    pub(in crate::sweep) fn of(times_s: &[f64], values: &[&[f64]]) -> Option<Self> {
+        let from = times_s.len().saturating_sub(MAX_FRAMES) / 2;
+        let times_s = &times_s[from..times_s.len().min(from + MAX_FRAMES)];
+        let (first, last) = (times_s.first()?, times_s.last()?);
+        let span_s = last - first;
+        let count = times_s.len() as f64;
+        // Up to half the frame rate.
+        let steps = count as usize;
+        if span_s.is_nan() || span_s <= 0.0 {
+            return None;
+        }
+        let wave = |turns: f64| -> Vec<[f64; 2]> {
+            let at = |t: &f64| {
+                let (sin, cos) = (TAU * turns * t).sin_cos();
+                [cos, sin]
+            };
+            times_s.iter().map(at).collect()
+        };
+        let least = (2.0 * MIN_PERIODS) as usize;
+        let of_step = wave(0.5 / span_s);
+        let powers_of = |first: usize| -> Vec<f64> {
+            let mut waves = wave(0.5 * first as f64 / span_s);
+            let power = |waves: &[[f64; 2]], values: &[f64]| {
+                let [re, im] = waves
+                    .iter()
+                    .zip(values)
+                    .fold([0.0; 2], |[re, im], ([cos, sin], value)| [re + value * cos, im + value * sin]);
+                re * re + im * im
+            };
+            (first..(first + FREQUENCIES).min(steps))
+                .map(|_| {
+                    let sum = values.iter().map(|values| power(&waves, &values[from..])).sum();
+                    for ([cos, sin], [x, y]) in waves.iter_mut().zip(&of_step) {
+                        (*cos, *sin) = (*cos * x - *sin * y, *sin * x + *cos * y);
+                    }
+                    sum
+                })
+                .collect()
+        };
+        let firsts: Vec<usize> = (least..steps).step_by(FREQUENCIES).collect();
+        let powers: Vec<f64> = firsts.into_par_iter().flat_map_iter(powers_of).collect();
+        Some(Self { first: least, step_hz: 0.5 / span_s, powers })
+    }
 }
 
 /// Of every frame: what remains of the error before, `exp(-Δt/correlation_s)`, and the standard deviation of what is new.

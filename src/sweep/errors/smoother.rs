@@ -21,7 +21,7 @@ const BENDS: usize = 63;
 
 /// The part of an echo in the equations of the wall.
 #[derive(Clone, Copy)]
-pub(super) struct Term {
+pub(in crate::sweep) struct Term {
     nodes: [u32; 3],
     shares: [f32; 3],
     /// What each millimetre of its residual adds to the right-hand side, for the share 1.
@@ -36,10 +36,20 @@ impl Term {
         let corners = self.nodes.iter().zip(self.shares);
         f64::from(self.scale) * corners.map(|(&n, share)| wall_mm[n as usize] * f64::from(share)).sum::<f64>()
     }
+
+    /// The robust weight of the echo's residual.
+    pub(in crate::sweep) fn weight(&self) -> f64 {
+        f64::from(self.pull) / f64::from(self.scale)
+    }
+
+    /// The residual that a wall leaves of an error of the echo.
+    pub(in crate::sweep) fn left(&self, error_mm: f64, wall_mm: &[f64]) -> f64 {
+        error_mm - self.at(wall_mm)
+    }
 }
 
 /// The echoes' parts in the equations of a wall, and the matrix of these.
-pub(super) fn linearised(grid: &WallGrid, echoes: &[Echo], wall: &Wall) -> (Vec<Term>, Operator) {
+pub(in crate::sweep) fn linearised(grid: &WallGrid, echoes: &[Echo], wall: &Wall) -> (Vec<Term>, Operator) {
     let model = wall.residual_model(grid);
     let term = |echo: &Echo| {
         let mut echo = *echo;
@@ -74,7 +84,7 @@ pub(super) fn linearised(grid: &WallGrid, echoes: &[Echo], wall: &Wall) -> (Vec<
 }
 
 /// What the fit makes of errors of the echoes.
-pub(super) struct Smoother<'a> {
+pub(in crate::sweep) struct Smoother<'a> {
     grid: &'a WallGrid,
     terms: &'a [Term],
     operator: &'a Operator,
@@ -84,7 +94,7 @@ pub(super) struct Smoother<'a> {
 }
 
 impl<'a> Smoother<'a> {
-    pub(super) fn of(
+    pub(in crate::sweep) fn of(
         grid: &'a WallGrid,
         (terms, operator): &'a (Vec<Term>, Operator),
         smoothness_mm2: f64,
@@ -101,7 +111,7 @@ impl<'a> Smoother<'a> {
     }
 
     /// The wall through values of the echoes in the form of residuals, mm.
-    pub(super) fn wall(&self, values_mm: impl IntoIterator<Item = f64>) -> Result<Vec<f64>> {
+    pub(in crate::sweep) fn wall(&self, values_mm: impl IntoIterator<Item = f64>) -> Result<Vec<f64>> {
         let mut right = vec![0.0; self.grid.node_count()];
         for (term, value) in self.terms.iter().zip(values_mm) {
             let weighted = f64::from(term.pull) * value;

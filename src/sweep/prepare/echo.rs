@@ -103,7 +103,7 @@ pub(in crate::sweep) fn placed(
 }
 
 /// When the frames were taken, s; a frame without a time counts as [`FRAME_INTERVAL_S`] after the one before.
-fn times_s(frames: &[Frame]) -> Vec<f64> {
+pub(in crate::sweep) fn times_s(frames: &[Frame]) -> Vec<f64> {
     let times = frames.iter().scan(-FRAME_INTERVAL_S, |clock, frame| {
         *clock = frame.time_s.unwrap_or(*clock + FRAME_INTERVAL_S);
         Some(*clock)
