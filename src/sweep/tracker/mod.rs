@@ -204,7 +204,10 @@ impl Estimator<'_> {
         let mut solver_steps = 0;
         wall.out_of_plane = CONTOUR_OUT_OF_PLANE;
         for round in 0..MAX_ROUNDS {
-            let joint = Joint::about(grid, axis, &echoes, &wall, &now, &errors, along);
+            let joint = Joint::about(grid, axis, &echoes, &wall, &now, &errors, |frame, point, _| {
+                let Motion { shift_mm, turn_rad } = along[frame];
+                [shift_mm + turn_rad.cross(point - now[frame].translation_mm)]
+            });
             let fit = joint.fit(levels, FITS, self.roughness, &mut prior, &mut wall.radii_mm)?;
             let mut is_offset_left = false;
             if motions.is_some() {
