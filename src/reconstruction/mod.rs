@@ -12,11 +12,12 @@ use crate::branching::{
 };
 use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, FittedCylinder, engine};
 use crate::recording::{Recording, Screened, Screening};
-use crate::settings::{Branches, Method, Settings};
+use crate::settings::{Branches, Calibrate, Method, Settings};
 use crate::surface::Surface;
-use crate::sweep::{Sweep, SweepReport, WallDevice};
+use crate::sweep::{SelfCalibration, Sweep, SweepReport, WallDevice};
 use crate::{Error, Result};
 use serde::Serialize;
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
@@ -96,20 +97,27 @@ impl<'a> Reconstructor<'a> {
     /// [`Error::Cancelled`] where [`on_progress`](Self::on_progress) asks for that.
     pub fn run(&self, recording: &Recording) -> Result<Lumen> {
         self.settings.validate()?;
-        let Screened { recording, screening } =
+        let Screened { mut recording, screening } =
             Screened::of(recording, &self.settings.conventions, self.settings.unfit_frames)?;
-        let recording = &*recording;
-        let named = |error: Error| match error {
-            Error::Frame { frame, field, found, expected } => {
-                Error::Frame { frame: recording.number(frame), field, found, expected }
+        let mut settings = self.settings.clone();
+        let mut calibration = None;
+        if settings.method == Method::Sweep && settings.sweep.calibrate != Calibrate::Off {
+            let tell = |stage, done, total| (self.on_progress)(Progress { stage, done, total });
+            let found = SelfCalibration::of(&recording, &settings, &tell)
+                .map_err(|error| numbered(error, &recording))?;
+            if settings.sweep.calibrate == Calibrate::Apply {
+                let (right, its_settings) = found.corrected(&recording, &settings);
+                (recording, settings) = (Cow::Owned(right), its_settings);
             }
-            other => other,
-        };
-        let vessel = match self.settings.method {
+            calibration = Some(found);
+        }
+        let (recording, settings) = (&*recording, &settings);
+        let named = |error: Error| numbered(error, recording);
+        let vessel = match settings.method {
             Method::Cylinders => {
                 let tell =
                     |done, total| (self.on_progress)(Progress { stage: "fitting cylinders", done, total });
-                let (settings, engine) = (&self.settings, self.engine()?);
+                let engine = self.engine()?;
                 let branched = match settings.branches {
                     Branches::Auto => BranchedCylinders::of(recording, settings, engine, self.history, &tell)
                         .map_err(named)?,
@@ -125,9 +133,9 @@ impl<'a> Reconstructor<'a> {
             }
             Method::Sweep => {
                 let tell = |stage, done, total| (self.on_progress)(Progress { stage, done, total });
-                let branched = match self.settings.branches {
+                let branched = match settings.branches {
                     Branches::Auto => {
-                        BranchedSweep::with_device(recording, &self.settings, &tell, &self.wall_device)
+                        BranchedSweep::with_device(recording, settings, &tell, &self.wall_device)
                             .map_err(named)?
                     }
                     Branches::Off => None,
@@ -135,12 +143,10 @@ impl<'a> Reconstructor<'a> {
                 match branched {
                     Some(branched) => Vessel::Branches(branched),
                     None => {
-                        let mut sweep = Sweep::run_with(recording, &self.settings, &tell, &self.wall_device)
-                            .map_err(named)?;
-                        let mouths = match self.settings.branches {
-                            Branches::Auto => {
-                                branching::open_mouths_of(recording, &self.settings, &mut sweep)?
-                            }
+                        let mut sweep =
+                            Sweep::run_with(recording, settings, &tell, &self.wall_device).map_err(named)?;
+                        let mouths = match settings.branches {
+                            Branches::Auto => branching::open_mouths_of(recording, settings, &mut sweep)?,
                             Branches::Off => Vec::new(),
                         };
                         Vessel::Sweep(sweep, mouths)
@@ -148,7 +154,7 @@ impl<'a> Reconstructor<'a> {
                 }
             }
         };
-        Ok(Lumen { settings: self.settings.clone(), screening, vessel })
+        Ok(Lumen { settings: settings.clone(), screening, calibration, vessel })
     }
 
     /// The engine that the settings ask for, started by the first call.
@@ -161,11 +167,22 @@ impl<'a> Reconstructor<'a> {
     }
 }
 
+/// An error that names a frame by its number in the recording that was given.
+fn numbered(error: Error, recording: &Recording) -> Error {
+    match error {
+        Error::Frame { frame, field, found, expected } => {
+            Error::Frame { frame: recording.number(frame), field, found, expected }
+        }
+        other => other,
+    }
+}
+
 /// The lumen of a recording, by the method that the settings name.
 #[derive(Debug, Clone)]
 pub struct Lumen {
     settings: Settings,
     screening: Screening,
+    calibration: Option<SelfCalibration>,
     vessel: Vessel,
 }
 
@@ -205,6 +222,9 @@ pub struct Summary<'a> {
     pub screening: &'a Screening,
     /// The mouths of branches that were seen but not entered, where the method looks for them.
     pub mouths: &'a [Mouth],
+    /// The errors of the calibration, where the settings ask for them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<&'a SelfCalibration>,
     /// What was done, in numbers; in JSON beside those above.
     #[serde(flatten)]
     pub report: LumenReport<'a>,
@@ -217,6 +237,7 @@ impl Lumen {
             settings: &self.settings,
             screening: &self.screening,
             mouths: self.mouths(),
+            calibration: self.calibration(),
             report: self.report(),
         }
     }
@@ -231,7 +252,12 @@ impl Lumen {
         }
     }
 
-    /// The settings that it was reconstructed with.
+    /// The errors of the calibration, as the recording shows them; `None` where the settings do not ask for them.
+    pub fn calibration(&self) -> Option<&SelfCalibration> {
+        self.calibration.as_ref()
+    }
+
+    /// The settings that it was reconstructed with: with the calibration that a recording has corrected.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }

@@ -19,7 +19,6 @@ use crate::sweep::wall::solver::{MAX_STEPS, System, solve};
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
-use std::f64::consts::TAU;
 
 /// A pose's error in the world's axes: shift in mm, then rotation about the sensor in mm at the lumen's wall.
 pub(super) type Twist = [f64; 6];
@@ -85,6 +84,14 @@ pub(super) struct BendingPrior {
     is_frozen: bool,
 }
 
+impl BendingPrior {
+    /// The same, frozen, with λ times a factor on all `rings`.
+    pub(super) fn weakened(&self, rings: usize, factor: f64) -> Self {
+        let factors = (0..rings).map(|k| factor * self.local.factor(k)).collect();
+        Self { local: LocalSmoothness::of(factors), is_frozen: true }
+    }
+}
+
 /// The fit of a model.
 pub(super) struct Fit {
     /// c: per frame.
@@ -111,7 +118,7 @@ pub(super) struct Offset {
 impl<'a, const N: usize> Joint<'a, N> {
     /// The model about `wall`, for echoes with their projections on it. `sensors` are the poses that the echoes were placed
     /// with, `errors` the corrections that were subtracted from the recorded ones; `displacements` says how far the global
-    /// parameters move an echo, mm per unit: of its frame, itself and its projection, as points of the world.
+    /// parameters move an echo, mm per unit: of its frame, a point of the world.
     pub(super) fn about(
         grid: &'a WallGrid,
         axis: &Axis,
@@ -119,7 +126,7 @@ impl<'a, const N: usize> Joint<'a, N> {
         wall: &Wall,
         sensors: &[Pose],
         errors: &[Twist],
-        displacements: impl Fn(usize, DVec3, DVec3) -> [DVec3; N] + Sync,
+        displacements: impl Fn(usize, DVec3) -> [DVec3; N] + Sync,
     ) -> Self {
         let radius_mm = grid.radius_mm();
         let mut starts = vec![0; sensors.len() + 1];
@@ -144,9 +151,8 @@ impl<'a, const N: usize> Joint<'a, N> {
                 let (point, directions) = axis.at(echo.ring, echo.theta_rad(grid.nodes), echo.radius_mm);
                 let arm = point - sensors[frame].translation_mm;
                 let normal = directions * measured.normal;
-                let (on_wall, _) = axis.at(ring, node / grid.nodes as f64 * TAU, measured.wall_mm);
                 let effects_mm =
-                    displacements(frame, point, on_wall).map(|moved| normal.dot(moved) / measured.normal.x);
+                    displacements(frame, point).map(|moved| normal.dot(moved) / measured.normal.x);
                 // A shift along the vessel hardly changes the radii; where it does, at a narrow place, frames would slide to
                 // where the wall is smoothest.
                 let across = normal - directions.z_axis * normal.dot(directions.z_axis);
@@ -184,6 +190,16 @@ impl<'a, const N: usize> Joint<'a, N> {
             .collect();
         let turn = (DEGREES_PER_MM.to_radians() * radius_mm).powi(2);
         Self { grid, equations, starts, information, shape: [1.0, 1.0, 1.0, turn, turn, turn] }
+    }
+
+    /// Replaces the effects of the global parameters by others: of a frame, on the radius at a place of the wall.
+    pub(super) fn with_effects_mm(mut self, of: impl Fn(usize, &Corners) -> [f64; N]) -> Self {
+        for (k, range) in self.starts.windows(2).enumerate() {
+            for equation in &mut self.equations[range[0]..range[1]] {
+                equation.effects_mm = of(k, &equation.corners);
+            }
+        }
+        self
     }
 
     /// Fits radii and errors and estimates the noise levels from them, `times` times in turn; λ = (σ/τ)² follows.
