@@ -142,6 +142,22 @@ pub enum Branches {
     Off,
 }
 
+/// Whether a recording calibrates itself, from the wall that it shows more than once
+/// ([`SelfCalibration`](crate::sweep::SelfCalibration)).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[non_exhaustive]
+pub enum Calibrate {
+    /// It does not.
+    #[default]
+    Off,
+    /// Errors of the calibration are estimated and reported.
+    Estimate,
+    /// Those that are significant are corrected too.
+    Apply,
+}
+
 /// A state of a vessel that moves periodically.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "PhaseOrName", into = "PhaseOrName")]
@@ -253,6 +269,9 @@ pub struct SweepSettings {
     /// Whether a constant time offset between poses and contours is estimated, and corrected where it is significant.
     /// Frames must have times.
     pub estimate_offset: bool,
+    /// Whether errors of the calibration, of the speed of sound and of time are estimated before the reconstruction, and
+    /// corrected where they are significant. It is the [`Reconstructor`](crate::reconstruction::Reconstructor) that does so.
+    pub calibrate: Calibrate,
     /// For vessels that move, s: the weight of an echo halves for every half-life by which the newest echo between the same
     /// two rings is newer. By default all echoes count alike. Frames without a time are taken to be 1/12 s apart.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -268,6 +287,7 @@ impl Default for SweepSettings {
             correct_poses: false,
             even_smoothness: false,
             estimate_offset: false,
+            calibrate: Calibrate::Off,
             half_life_s: None,
         }
     }
@@ -280,6 +300,7 @@ setters!(SweepSettings {
     with_correct_poses => correct_poses: bool,
     with_even_smoothness => even_smoothness: bool,
     with_estimate_offset => estimate_offset: bool,
+    with_calibrate => calibrate: Calibrate,
     with_half_life_s => half_life_s: Option<f64>,
 });
 
@@ -583,6 +604,7 @@ mod tests {
             ("sweep.nodes", "64"),
             ("sweep.correct_poses", "true"),
             ("sweep.even_smoothness", "true"),
+            ("sweep.calibrate", "apply"),
             ("calibration.position_mm", "[1, 2.5, -3]"),
             ("unfit_frames", "keep"),
             ("conventions.units", "cm"),
@@ -590,8 +612,11 @@ mod tests {
         ] {
             settings.set(name, value).unwrap();
         }
-        let sweep =
-            SweepSettings::default().with_nodes(Some(64)).with_correct_poses(true).with_even_smoothness(true);
+        let sweep = SweepSettings::default()
+            .with_nodes(Some(64))
+            .with_correct_poses(true)
+            .with_even_smoothness(true)
+            .with_calibrate(Calibrate::Apply);
         let expected = Settings::default()
             .with_method(Method::Cylinders)
             .with_backend(Backend::Cpu)
@@ -629,6 +654,7 @@ mod tests {
             ("nodes", "many", "setting nodes: found \"many\", expected u32"),
             ("nodes", "-1", "setting nodes: found \"-1\", expected u32"),
             ("nodes", "2", "setting nodes: found 2, expected at least 3"),
+            ("sweep.calibrate", "yes", "setting sweep.calibrate: found \"yes\", expected "),
             ("method", "tube", "setting method: found \"tube\", expected `sweep` or `cylinders`"),
             ("nodes", "12\nlevels = 7", "setting nodes: found \"12\\nlevels = 7\", expected u32"),
             ("nodes.deep", "1", "setting nodes.deep: found nodes is one value, expected a group"),

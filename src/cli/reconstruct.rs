@@ -7,7 +7,7 @@ use crate::cylinders::{CylindersReport, write_cylinders};
 use crate::engine::EngineDescription;
 use crate::reconstruction::{Lumen, LumenReport, Reconstructor, Summary};
 use crate::recording::{Cleaning, LeftOut, Recording, Screening};
-use crate::settings::{Method, Settings};
+use crate::settings::{Calibrate, Method, Settings};
 use crate::surface::{self, Topology};
 use crate::sweep;
 use crate::{Error, Result};
@@ -24,6 +24,7 @@ use std::path::PathBuf;
   lumenmesh reconstruct pullback.mat -o vessel.stl --config settings.toml --json > report.json
   lumenmesh reconstruct pullback.mat -o vessel.vtp --axis axis.vtp
   lumenmesh reconstruct pullback.mat -o vessel.vtp --correct-poses --estimate-offset
+  lumenmesh reconstruct pullback.mat -o vessel.vtp --calibrate apply
   lumenmesh reconstruct recording/ -o vessel.vtp --quaternion wxyz --units m
   lumenmesh reconstruct recording/ -o vessel.ply --method cylinders --nodes 24 --levels 8
   lumenmesh reconstruct pullback.mat -o vessel.vtp --method cylinders --cylinders cylinders.csv")]
@@ -91,6 +92,9 @@ impl Arguments {
             return print_json(&Output { recording, mesh, summary: lumen.summary() });
         }
         print_report(report);
+        if let Some(calibration) = lumen.calibration() {
+            print_calibration(calibration, lumen.settings().sweep.calibrate == Calibrate::Apply);
+        }
         lumen.motion().into_iter().for_each(print_motion);
         print_mouths(lumen.mouths());
         print_screening(lumen.screening());
@@ -463,6 +467,36 @@ fn print_tracker(tracker: &sweep::Tracker) {
         let done =
             if tracker.offset_corrected { "corrected" } else { "left: not significant, or implausible" };
         println!("           poses {offset_s:.4} ± {error_s:.4} s older than contours: {done}");
+    }
+}
+
+/// What a calibration lacks, and what of it was corrected.
+fn print_calibration(calibration: &sweep::SelfCalibration, apply: bool) {
+    println!(
+        "calibrate  {}",
+        match calibration.mirror {
+            Some(sweep::Mirror::No) => "images are not mirrored",
+            Some(sweep::Mirror::Y) => "images are mirrored: y stands for -y",
+            Some(sweep::Mirror::X) => "images are mirrored: x stands for -x",
+            None => "whether images are mirrored cannot be told from this recording",
+        }
+    );
+    for parameter in &calibration.parameters {
+        let sweep::CalibrationParameter { name, unit, estimate, standard_error, told, correction, .. } =
+            *parameter;
+        if !told {
+            println!("           {name}: cannot be told from this recording");
+            continue;
+        }
+        print!("           {name} {estimate:+.3} ± {standard_error:.3} {unit} from the calibration: ");
+        match (correction != 0.0, apply) {
+            (false, _) => println!("not significant"),
+            (true, true) => println!("corrected by {correction:+.3} {unit}"),
+            (true, false) => println!("--calibrate apply corrects {correction:+.3} {unit}"),
+        }
+    }
+    if !calibration.converged {
+        println!("           the estimate has not converged, and nothing is corrected");
     }
 }
 

@@ -2,7 +2,7 @@ use super::conventions::ConventionArguments;
 use super::numbers;
 use crate::recording::Recording;
 use crate::settings::{
-    Backend, Branches, Merge, Method, MotionState, Outliers, Settings, Statistic, UnfitFrames,
+    Backend, Branches, Calibrate, Merge, Method, MotionState, Outliers, Settings, Statistic, UnfitFrames,
 };
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -72,6 +72,10 @@ pub(super) struct SettingsArguments {
     /// Of a sweep: estimate how much older poses are than contours, and correct it where significant
     #[arg(long)]
     estimate_offset: bool,
+    /// Of a sweep: estimate errors of the probe's calibration, of the speed of sound and of time from the wall that is seen
+    /// more than once; with apply, correct those that are significant [default: off; estimate without a value]
+    #[arg(long, value_name = "WHAT", value_enum, num_args = 0..=1, default_missing_value = "estimate")]
+    calibrate: Option<Calibrate>,
     /// Of a sweep, for a vessel that moves: halve an echo's weight per this many seconds of newer echoes around it
     /// [default: all count alike]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
@@ -147,6 +151,7 @@ impl SettingsArguments {
         settings.sweep.correct_poses |= self.correct_poses;
         settings.sweep.even_smoothness |= self.even_smoothness;
         settings.sweep.estimate_offset |= self.estimate_offset;
+        set(&mut settings.sweep.calibrate, self.calibrate);
         if self.half_life.is_some() {
             settings.sweep.half_life_s = self.half_life;
         }
@@ -192,6 +197,7 @@ impl SettingsArguments {
             ("sweep.correct_poses", self.correct_poses),
             ("sweep.even_smoothness", self.even_smoothness),
             ("sweep.estimate_offset", self.estimate_offset),
+            ("sweep.calibrate", self.calibrate.is_some()),
             ("sweep.half_life_s", self.half_life.is_some()),
         ];
         let (flags, found, expected) = match method {

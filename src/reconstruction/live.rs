@@ -27,7 +27,7 @@ use crate::cylinders::live::{LiveCylinders, MAX_FRAMES_AT_REST, REST_MM};
 use crate::cylinders::{Engine, engine};
 use crate::engine::EngineDescription;
 use crate::recording::{Cleaning, Frame, Judged, LeftOut, LiveScreening, Reason, Recording};
-use crate::settings::{Backend, Method, MotionSettings, Settings, UnfitFrames};
+use crate::settings::{Backend, Calibrate, Method, MotionSettings, Settings, UnfitFrames};
 use crate::surface::Surface;
 use crate::sweep::{LiveSweep, Step};
 use crate::{Error, Result};
@@ -451,6 +451,9 @@ fn check_sweep(settings: &Settings) -> Result<()> {
     }
     if settings.sweep.estimate_offset {
         return refused("sweep.estimate_offset", "true", "false");
+    }
+    if settings.sweep.calibrate != Calibrate::Off {
+        return refused("sweep.calibrate", "estimate or apply", "off");
     }
     Ok(())
 }

@@ -13,11 +13,12 @@ use crate::branching::{
 use crate::cylinders::{CylinderReconstruction, CylindersReport, Engine, FittedCylinder, engine};
 use crate::error::unless_cancelled;
 use crate::recording::{Recording, Screened, Screening};
-use crate::settings::{Branches, Method, Settings};
+use crate::settings::{Branches, Calibrate, Method, Settings};
 use crate::surface::Surface;
-use crate::sweep::{AtRest, Motion, Sweep, SweepReport, WallDevice, at_rest};
+use crate::sweep::{AtRest, Motion, SelfCalibration, Sweep, SweepReport, WallDevice, at_rest};
 use crate::{Error, Result};
 use serde::Serialize;
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
@@ -97,25 +98,37 @@ impl<'a> Reconstructor<'a> {
     /// [`Error::Cancelled`] where [`on_progress`](Self::on_progress) asks for that.
     pub fn run(&self, recording: &Recording) -> Result<Lumen> {
         self.settings.validate()?;
-        let Screened { recording, screening } =
+        let Screened { mut recording, screening } =
             Screened::of(recording, &self.settings.conventions, self.settings.unfit_frames)?;
-        let recording = &*recording;
-        let moving = match self.settings.motion.is_off() {
+        let mut settings = self.settings.clone();
+        let mut calibration = None;
+        if settings.method == Method::Sweep && settings.sweep.calibrate != Calibrate::Off {
+            let tell = |stage, done, total| (self.on_progress)(Progress { stage, done, total });
+            let found = SelfCalibration::of(&recording, &settings, &tell)
+                .map_err(|error| error.with_number(|frame| recording.number(frame)))?;
+            if settings.sweep.calibrate == Calibrate::Apply {
+                let (right, its_settings) = found.corrected(&recording, &settings);
+                (recording, settings) = (Cow::Owned(right), its_settings);
+            }
+            calibration = Some(found);
+        }
+        let (recording, settings) = (&*recording, &settings);
+        let moving = match settings.motion.is_off() {
             true => None,
             false => {
                 let stage = Progress { stage: "following the motion", done: 0, total: 1 };
                 let going_on = || unless_cancelled((self.on_progress)(stage));
                 recording.check()?;
-                Some(at_rest(recording, &self.settings, &going_on)?)
+                Some(at_rest(recording, settings, &going_on)?)
             }
         };
         let recording = moving.as_ref().and_then(|moving| moving.recording.as_ref()).unwrap_or(recording);
         let named = |error: Error| error.with_number(|frame| recording.number(frame));
-        let mut vessel = match self.settings.method {
+        let mut vessel = match settings.method {
             Method::Cylinders => {
                 let tell =
                     |done, total| (self.on_progress)(Progress { stage: "fitting cylinders", done, total });
-                let (settings, engine) = (&self.settings, self.engine()?);
+                let engine = self.engine()?;
                 let branched = match settings.branches {
                     Branches::Auto => BranchedCylinders::of(recording, settings, engine, self.history, &tell)
                         .map_err(named)?,
@@ -131,9 +144,9 @@ impl<'a> Reconstructor<'a> {
             }
             Method::Sweep => {
                 let tell = |stage, done, total| (self.on_progress)(Progress { stage, done, total });
-                let branched = match self.settings.branches {
+                let branched = match settings.branches {
                     Branches::Auto => {
-                        BranchedSweep::with_device(recording, &self.settings, &tell, &self.wall_device)
+                        BranchedSweep::with_device(recording, settings, &tell, &self.wall_device)
                             .map_err(named)?
                     }
                     Branches::Off => None,
@@ -141,12 +154,10 @@ impl<'a> Reconstructor<'a> {
                 match branched {
                     Some(branched) => Vessel::Branches(branched),
                     None => {
-                        let mut sweep = Sweep::run_with(recording, &self.settings, &tell, &self.wall_device)
-                            .map_err(named)?;
-                        let mouths = match self.settings.branches {
-                            Branches::Auto => {
-                                branching::open_mouths_of(recording, &self.settings, &mut sweep)?
-                            }
+                        let mut sweep =
+                            Sweep::run_with(recording, settings, &tell, &self.wall_device).map_err(named)?;
+                        let mouths = match settings.branches {
+                            Branches::Auto => branching::open_mouths_of(recording, settings, &mut sweep)?,
                             Branches::Off => Vec::new(),
                         };
                         Vessel::Sweep(sweep, mouths)
@@ -162,7 +173,7 @@ impl<'a> Reconstructor<'a> {
             }
             motion
         });
-        Ok(Lumen { settings: self.settings.clone(), screening, motion, vessel })
+        Ok(Lumen { settings: settings.clone(), screening, calibration, motion, vessel })
     }
 
     /// The engine that the settings ask for, started by the first call.
@@ -180,6 +191,7 @@ impl<'a> Reconstructor<'a> {
 pub struct Lumen {
     settings: Settings,
     screening: Screening,
+    calibration: Option<SelfCalibration>,
     motion: Option<Motion>,
     vessel: Vessel,
 }
@@ -223,6 +235,9 @@ pub struct Summary<'a> {
     pub motion: Option<&'a Motion>,
     /// The mouths of branches that were seen but not entered, where the method looks for them.
     pub mouths: &'a [Mouth],
+    /// The errors of the calibration, where the settings ask for them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<&'a SelfCalibration>,
     /// What was done, in numbers; in JSON beside those above.
     #[serde(flatten)]
     pub report: LumenReport<'a>,
@@ -236,6 +251,7 @@ impl Lumen {
             screening: &self.screening,
             motion: self.motion.as_ref(),
             mouths: self.mouths(),
+            calibration: self.calibration(),
             report: self.report(),
         }
     }
@@ -250,7 +266,12 @@ impl Lumen {
         }
     }
 
-    /// The settings that it was reconstructed with.
+    /// The errors of the calibration, as the recording shows them; `None` where the settings do not ask for them.
+    pub fn calibration(&self) -> Option<&SelfCalibration> {
+        self.calibration.as_ref()
+    }
+
+    /// The settings that it was reconstructed with: with the calibration that a recording has corrected.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }

@@ -27,7 +27,7 @@ pub(crate) use prepare::noise::outward_bias_mm;
 pub use report::{SweepReport, SweepTimings};
 pub use support::Support;
 pub(crate) use support::{MAX_ERROR_MEDIANS, MAX_ERROR_RADII, MAX_OFF_WALL};
-pub use tracker::Tracker;
+pub use tracker::{CalibrationParameter, Mirror, SelfCalibration, Tracker};
 pub(crate) use wall::engine::WallDevice;
 #[cfg(feature = "gpu")]
 pub use wall::gpu::GpuWallEngine;

@@ -9,7 +9,7 @@ use lumenmesh::evaluate::{Truth, evaluate};
 use lumenmesh::geometry::Pose;
 use lumenmesh::reconstruction::{Change, Live, Progress, Reconstructor, Work};
 use lumenmesh::recording::{Frame, Recording};
-use lumenmesh::settings::{Method, Settings, SweepSettings, UnfitFrames};
+use lumenmesh::settings::{Calibrate, Method, Settings, SweepSettings, UnfitFrames};
 use lumenmesh::simulate::{self, Insertion, Move, Simulation};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::Sweep;
@@ -534,6 +534,7 @@ fn what_is_done_to_whole_recordings_only_is_refused() {
     for (settings, name) in [
         (sweep_with(plain.with_correct_poses(true)), "sweep.correct_poses"),
         (sweep_with(plain.with_estimate_offset(true)), "sweep.estimate_offset"),
+        (sweep_with(plain.with_calibrate(Calibrate::Estimate)), "sweep.calibrate"),
         (cylinders().with_merge(lumenmesh::settings::Merge::Blend), "merge"),
     ] {
         let refused = Live::new(&settings).err().unwrap().to_string();

@@ -12,6 +12,7 @@ mod batch;
 mod blend;
 #[cfg(feature = "cli")]
 mod branching;
+mod calibration;
 #[cfg(feature = "cli")]
 mod coronary;
 mod cylinder_estimate;

@@ -28,8 +28,8 @@ pub(super) type Twist = [f64; 6];
 const DEGREES_PER_MM: f64 = 1.0;
 /// Smallest variance of pose errors, in variances of the noise: its inverse must be finite.
 const MIN_VARIANCE: f64 = 1e-12;
-/// Number of segments of the recording whose scatter gives the standard error of an offset.
-const SEGMENTS: usize = 32;
+/// Number of segments of the recording whose scatter gives the standard errors of global parameters.
+pub(super) const SEGMENTS: usize = 32;
 /// Steps towards the likeliest variance of pose errors in one fit.
 const ASCENT_STEPS: usize = 10;
 
@@ -49,8 +49,8 @@ pub(super) struct NoiseLevels {
     pub shift_mm: f64,
 }
 
-/// The equation of an echo.
-struct EchoEquation {
+/// The equation of an echo. The recording's N global parameters act on all echoes.
+struct EchoEquation<const N: usize> {
     corners: Corners,
     /// Square root of the inverse variance, in units of the noise.
     scale: f64,
@@ -60,15 +60,15 @@ struct EchoEquation {
     radius_mm: f64,
     /// j: derivative of the radius by the pose's error.
     jacobian: Twist,
-    /// Derivative of the radius by time along the poses' motion, mm/s.
-    velocity_mm: f64,
+    /// g: derivatives of the radius by the global parameters, mm per unit.
+    effects_mm: [f64; N],
 }
 
 /// The model about a wall.
-pub(super) struct Joint<'a> {
+pub(super) struct Joint<'a, const N: usize> {
     grid: &'a WallGrid,
     /// Frame by frame.
-    equations: Vec<EchoEquation>,
+    equations: Vec<EchoEquation<N>>,
     /// First equation of each frame, and the end.
     starts: Vec<usize>,
     /// Per frame: `Σ w j jᵀ`.
@@ -84,12 +84,28 @@ pub(super) struct BendingPrior {
     is_frozen: bool,
 }
 
+impl BendingPrior {
+    /// The same, frozen, with λ times a factor on all `rings`.
+    pub(super) fn weakened(&self, rings: usize, factor: f64) -> Self {
+        let factors = (0..rings).map(|k| factor * self.local.factor(k)).collect();
+        Self { local: LocalSmoothness::of(factors), is_frozen: true }
+    }
+}
+
 /// The fit of a model.
 pub(super) struct Fit {
     /// c: per frame.
     pub errors: Vec<Twist>,
     pub levels: NoiseLevels,
     pub solver_steps: usize,
+}
+
+/// The normal equations of the global parameters, with radii and pose errors eliminated.
+pub(super) struct GlobalEquations<const N: usize> {
+    /// `GᵀPG`: the information times the variance of the noise.
+    pub information: Matrix<N>,
+    /// `-GᵀPy'`, in parts: the segments of the recording.
+    pub scores: [[f64; N]; SEGMENTS],
 }
 
 /// An offset in time, s.
@@ -99,9 +115,10 @@ pub(super) struct Offset {
     pub standard_error_s: f64,
 }
 
-impl<'a> Joint<'a> {
+impl<'a, const N: usize> Joint<'a, N> {
     /// The model about `wall`, for echoes with their projections on it. `sensors` are the poses that the echoes were placed
-    /// with, `errors` the corrections that were subtracted from the recorded ones.
+    /// with, `errors` the corrections that were subtracted from the recorded ones; `displacements` says how far the global
+    /// parameters move an echo, mm per unit: of its frame, a point of the world.
     pub(super) fn about(
         grid: &'a WallGrid,
         axis: &Axis,
@@ -109,7 +126,7 @@ impl<'a> Joint<'a> {
         wall: &Wall,
         sensors: &[Pose],
         errors: &[Twist],
-        motions: &[Motion],
+        displacements: impl Fn(usize, DVec3) -> [DVec3; N] + Sync,
     ) -> Self {
         let radius_mm = grid.radius_mm();
         let mut starts = vec![0; sensors.len() + 1];
@@ -124,7 +141,7 @@ impl<'a> Joint<'a> {
             order[*slot] = i;
             *slot += 1;
         }
-        let equations: Vec<EchoEquation> = order
+        let equations: Vec<EchoEquation<N>> = order
             .par_iter()
             .map(|&i| {
                 let mut echo = echoes[i];
@@ -134,8 +151,8 @@ impl<'a> Joint<'a> {
                 let (point, directions) = axis.at(echo.ring, echo.theta_rad(grid.nodes), echo.radius_mm);
                 let arm = point - sensors[frame].translation_mm;
                 let normal = directions * measured.normal;
-                let Motion { shift_mm, turn_rad } = motions[frame];
-                let velocity_mm = normal.dot(shift_mm + turn_rad.cross(arm)) / measured.normal.x;
+                let effects_mm =
+                    displacements(frame, point).map(|moved| normal.dot(moved) / measured.normal.x);
                 // A shift along the vessel hardly changes the radii; where it does, at a narrow place, frames would slide to
                 // where the wall is smoothest.
                 let across = normal - directions.z_axis * normal.dot(directions.z_axis);
@@ -154,7 +171,7 @@ impl<'a> Joint<'a> {
                     },
                     radius_mm: measured.wall_mm + measured.radial_mm + dot(&jacobian, &errors[frame]),
                     jacobian,
-                    velocity_mm,
+                    effects_mm,
                 }
             })
             .collect();
@@ -173,6 +190,16 @@ impl<'a> Joint<'a> {
             .collect();
         let turn = (DEGREES_PER_MM.to_radians() * radius_mm).powi(2);
         Self { grid, equations, starts, information, shape: [1.0, 1.0, 1.0, turn, turn, turn] }
+    }
+
+    /// Replaces the effects of the global parameters by others: of a frame, on the radius at a place of the wall.
+    pub(super) fn with_effects_mm(mut self, of: impl Fn(usize, &Corners) -> [f64; N]) -> Self {
+        for (k, range) in self.starts.windows(2).enumerate() {
+            for equation in &mut self.equations[range[0]..range[1]] {
+                equation.effects_mm = of(k, &equation.corners);
+            }
+        }
+        self
     }
 
     /// Fits radii and errors and estimates the noise levels from them, `times` times in turn; λ = (σ/τ)² follows.
@@ -203,38 +230,41 @@ impl<'a> Joint<'a> {
         Ok(fit)
     }
 
-    /// A Gauss-Newton step to the likeliest offset in time along the poses' motion, with free radii and errors.
-    pub(super) fn offset(
+    /// The equations of a Gauss-Newton step of the global parameters, with free radii and errors.
+    pub(super) fn global_equations(
         &self,
         fit: &Fit,
         roughness: f64,
         prior: &BendingPrior,
         radii_mm: &[f64],
-    ) -> Result<Offset> {
+    ) -> Result<GlobalEquations<N>> {
         let errors = self.errors_at(fit.levels)?;
-        let velocities: Vec<f64> = self.equations.iter().map(|equation| equation.velocity_mm).collect();
-        let mut wall_velocities = vec![0.0; radii_mm.len()];
-        self.solve(&errors, fit.levels, roughness, &prior.local, &velocities, &mut wall_velocities)?;
-        let explained =
-            errors.of(&self.sums(|i| velocities[i] - self.equations[i].corners.value(&wall_velocities)));
-        let mut information = 0.0;
+        // The part of each parameter's effects that radii and errors explain.
+        let mut explained = Vec::with_capacity(N);
+        for parameter in 0..N {
+            let effects: Vec<f64> = self.equations.iter().map(|e| e.effects_mm[parameter]).collect();
+            let mut of_wall = vec![0.0; radii_mm.len()];
+            self.solve(&errors, fit.levels, roughness, &prior.local, &effects, &mut of_wall)?;
+            let of_poses = errors.of(&self.sums(|i| effects[i] - self.equations[i].corners.value(&of_wall)));
+            explained.push((of_wall, of_poses));
+        }
+        let mut information = [[0.0; N]; N];
         let segment = self.information.len().div_ceil(SEGMENTS);
-        let mut scores = [0.0; SEGMENTS];
+        let mut scores = [[0.0; N]; SEGMENTS];
         for (k, range) in self.starts.windows(2).enumerate() {
-            for (equation, velocity) in self.equations[range[0]..range[1]].iter().zip(&velocities[range[0]..])
-            {
-                let EchoEquation { corners, weight, radius_mm, jacobian, .. } = equation;
-                let unexplained = velocity - corners.value(&wall_velocities) - dot(jacobian, &explained[k]);
+            for equation in &self.equations[range[0]..range[1]] {
+                let EchoEquation { corners, weight, radius_mm, jacobian, effects_mm, .. } = equation;
                 let residual = radius_mm - corners.value(radii_mm) - dot(jacobian, &fit.errors[k]);
-                information += weight * velocity * unexplained;
-                scores[k / segment] -= weight * unexplained * residual;
+                for (j, (of_wall, of_poses)) in explained.iter().enumerate() {
+                    let unexplained = effects_mm[j] - corners.value(of_wall) - dot(jacobian, &of_poses[k]);
+                    for (line, effect_mm) in information.iter_mut().zip(effects_mm) {
+                        line[j] += weight * effect_mm * unexplained;
+                    }
+                    scores[k / segment][j] -= weight * unexplained * residual;
+                }
             }
         }
-        let seconds = scores.iter().sum::<f64>() / information;
-        // Model errors are alike in neighbouring frames, so the scatter of whole segments counts as well.
-        let scatter = scores.iter().map(|s| s * s).sum::<f64>() / (information * information);
-        let of_noise = fit.levels.noise_mm.powi(2) / information;
-        Ok(Offset { seconds, standard_error_s: scatter.max(of_noise).sqrt() })
+        Ok(GlobalEquations { information, scores })
     }
 
     /// `Σ w j value` of each frame.
@@ -353,6 +383,25 @@ impl<'a> Joint<'a> {
             levels.shift_mm = levels.shift_mm.max(levels.noise_mm * MIN_VARIANCE.sqrt());
         }
         Ok(levels.shift_mm)
+    }
+}
+
+impl Joint<'_, 1> {
+    /// A Gauss-Newton step to the likeliest offset in time, where that is the global parameter.
+    pub(super) fn offset(
+        &self,
+        fit: &Fit,
+        roughness: f64,
+        prior: &BendingPrior,
+        radii_mm: &[f64],
+    ) -> Result<Offset> {
+        let GlobalEquations { information: [[information]], scores } =
+            self.global_equations(fit, roughness, prior, radii_mm)?;
+        let seconds = scores.as_flattened().iter().sum::<f64>() / information;
+        // Model errors are alike in neighbouring frames, so the scatter of whole segments counts as well.
+        let scatter = scores.as_flattened().iter().map(|s| s * s).sum::<f64>() / (information * information);
+        let of_noise = fit.levels.noise_mm.powi(2) / information;
+        Ok(Offset { seconds, standard_error_s: scatter.max(of_noise).sqrt() })
     }
 }
 

@@ -3,6 +3,7 @@
 //! They start from a wall that is fitted to the recorded poses. Wall and errors about it form one model ([`joint`]); its
 //! errors are subtracted from the poses, the echoes are placed again, and the fit of the wall continues.
 
+mod calibration;
 mod joint;
 
 use crate::geometry::Pose;
@@ -13,6 +14,7 @@ use crate::sweep::prepare::echo::Echo;
 use crate::sweep::wall::engine::refit;
 use crate::sweep::wall::fit::{Checkpoint, Wall};
 use crate::{Error, Result};
+pub use calibration::{CalibrationParameter, Mirror, SelfCalibration};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use joint::{BendingPrior, Joint, Motion, NoiseLevels, Offset, Twist, corrected, split};
 use serde::Serialize;
@@ -89,7 +91,7 @@ impl Tracker {
         let mut sensors = prepared.sensors();
         let mut report = Self::default();
         if settings.estimate_offset {
-            let motions = motions(frames)?;
+            let motions = motions(frames, VELOCITY_WINDOW_S)?;
             let found = estimator.estimate(&sensors, Some(&motions), echoes.clone(), wall.clone())?;
             let Offset { seconds, standard_error_s } = found.offset;
             report.noise_mm = found.shift_sd_mm;
@@ -204,7 +206,10 @@ impl Estimator<'_> {
         let mut solver_steps = 0;
         wall.out_of_plane = CONTOUR_OUT_OF_PLANE;
         for round in 0..MAX_ROUNDS {
-            let joint = Joint::about(grid, axis, &echoes, &wall, &now, &errors, along);
+            let joint = Joint::about(grid, axis, &echoes, &wall, &now, &errors, |frame, point| {
+                let Motion { shift_mm, turn_rad } = along[frame];
+                [shift_mm + turn_rad.cross(point - now[frame].translation_mm)]
+            });
             let fit = joint.fit(levels, FITS, self.roughness, &mut prior, &mut wall.radii_mm)?;
             let mut is_offset_left = false;
             if motions.is_some() {
@@ -285,8 +290,9 @@ fn moved(sensors: &[Pose], motions: &[Motion], seconds: f64) -> Vec<Pose> {
     sensors.iter().zip(motions).map(moved).collect()
 }
 
-/// The velocity of the pose at each frame: slopes of position and of the rotation vector from that frame.
-fn motions(frames: &[Frame]) -> Result<Vec<Motion>> {
+/// The velocity of the pose at each frame: slopes of position and of the rotation vector from that frame, over the frames
+/// within this time before and after.
+fn motions(frames: &[Frame], window_s: f64) -> Result<Vec<Motion>> {
     let needed = |frame, found: String| Error::Frame {
         frame,
         field: "time",
@@ -302,8 +308,8 @@ fn motions(frames: &[Frame]) -> Result<Vec<Motion>> {
         times_s.push(time_s);
     }
     let of_frame = |k: usize| {
-        let first = times_s.partition_point(|t| *t < times_s[k] - VELOCITY_WINDOW_S).min(k.saturating_sub(1));
-        let end = times_s.partition_point(|t| *t <= times_s[k] + VELOCITY_WINDOW_S).max(k + 2);
+        let first = times_s.partition_point(|t| *t < times_s[k] - window_s).min(k.saturating_sub(1));
+        let end = times_s.partition_point(|t| *t <= times_s[k] + window_s).max(k + 2);
         let window = first..end.min(frames.len());
         let mean_s = times_s[window.clone()].iter().sum::<f64>() / window.len() as f64;
         let here = &frames[k].world_from_sensor;
@@ -343,7 +349,7 @@ mod tests {
         };
         let frames: Vec<Frame> = (0..30).map(frame).collect();
         let sensors: Vec<Pose> = frames.iter().map(|f| f.world_from_sensor).collect();
-        let later = moved(&sensors, &motions(&frames).unwrap(), 0.2);
+        let later = moved(&sensors, &motions(&frames, VELOCITY_WINDOW_S).unwrap(), 0.2);
         for (frame, pose) in frames.iter().zip(later) {
             let there = at(frame.time_s.unwrap() + 0.2);
             assert!(pose.translation_mm.distance(there.translation_mm) < 1e-9, "{pose:?}");
