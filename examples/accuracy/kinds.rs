@@ -53,6 +53,16 @@ pub(super) fn simulated(
     insertion: Insertion,
     seed: u64,
 ) -> Result<Simulation> {
+    Ok(simulated_with(kinds, vessel, insertion, seed)?.0)
+}
+
+/// The same, and the settings that it was simulated with.
+pub(super) fn simulated_with(
+    kinds: impl IntoIterator<Item = FaultKind>,
+    vessel: &str,
+    insertion: Insertion,
+    seed: u64,
+) -> Result<(Simulation, simulate::SimulationSettings)> {
     let vessel = simulated_vessel(vessel)?;
     let radius_mm = vessel.branches()[0].median_radius_mm();
     let noise = Noise::default().with_seed(seed).with_contour_sd_mm(radius_mm / 10.0);
@@ -61,7 +71,7 @@ pub(super) fn simulated(
         .with_probe(Probe::default().with_rays(72))
         .with_noise(noise.with_position_sd_mm(0.03 * radius_mm));
     kinds.into_iter().for_each(|kind| kind.apply(&mut settings, radius_mm));
-    Simulation::run(vessel, &settings)
+    Ok((Simulation::run(vessel, &settings)?, settings))
 }
 
 fn row(

@@ -18,6 +18,7 @@
 //! Python with Open3D (default: `python3`); without it Poisson is not run. Exit status: 0 where the sweep's mean
 //! distance is at most 0.8 times Poisson's in every row, else 1.
 
+mod calibration;
 mod certainty;
 #[path = "../../tests/support/data.rs"]
 mod data;
@@ -87,6 +88,7 @@ fn main() -> ExitCode {
     let done = match first.as_deref() {
         Some("--kinds") => kinds::run(second.as_deref()).map(|()| true),
         Some("--standard-errors") => certainty::run(second.as_deref()).map(|()| true),
+        Some("--calibration") => calibration::run(second.as_deref()).map(|()| true),
         Some("--live") => live::run(second.as_deref()).map(|()| true),
         Some("--motion") => motion::run(second.as_deref()).map(|()| true),
         wanted => run(wanted),
