@@ -171,6 +171,9 @@ fn printable(text: &str) -> String {
     shown
 }
 
+/// Told of the stage that begins, the number of stages done, and their number in all; on any thread.
+pub type StageProgress<'a> = dyn Fn(&'static str, usize, usize) -> ControlFlow<()> + Sync + 'a;
+
 /// [`Error::Cancelled`] where a callback asks to end.
 pub(crate) fn unless_cancelled(asked: ControlFlow<()>) -> Result<()> {
     match asked {

@@ -62,6 +62,9 @@ class Recording:
         Seconds; NaN where it is not known.
     cylinders : (F, 5), optional
         Local cylinders: px, py (mm), theta, phi (rad), radius (mm); NaN where a frame has none.
+    phase : (F,), optional
+        Phase of the heart or of the breath, in cycles, for the setting `motion.shown` or `motion.window`; NaN where it is
+        not known.
 
     Numbers of any real type and layout are taken. Raises `Error` for other shapes and types.
     """
@@ -74,6 +77,7 @@ class Recording:
         contours: ArrayLike | Iterable[ArrayLike],
         time: ArrayLike | None = None,
         cylinders: ArrayLike | None = None,
+        phase: ArrayLike | None = None,
     ) -> None:
         checked = _array("poses", poses, (None, 4, 4), "(F, 4, 4)")
         frames = len(checked)
@@ -87,7 +91,8 @@ class Recording:
             raise native.Error(f"contours: found {len(points)}, expected {frames}, one for each pose")
         at = None if time is None else _array("time", time, (frames,), f"({frames},)")
         models = None if cylinders is None else _array("cylinders", cylinders, (frames, 5), f"({frames}, 5)")
-        self._native = native.NativeRecording(checked, points, at, models)
+        cycles = None if phase is None else _array("phase", phase, (frames,), f"({frames},)")
+        self._native = native.NativeRecording(checked, points, at, models, cycles)
 
     @classmethod
     def _of(cls, of: native.NativeRecording) -> Recording:
@@ -115,6 +120,11 @@ class Recording:
         """(F, 5); None where no frame has a cylinder."""
         return self._native.cylinders()
 
+    @property
+    def phase(self) -> NDArray[np.float64] | None:
+        """(F,), cycles; None where no frame has a phase."""
+        return self._native.phase()
+
     def save(self, path: Path) -> None:
         """Writes a .mat file by that ending, else a folder of CSV files."""
         self._native.write(path)
@@ -127,7 +137,7 @@ class Recording:
         return f"<lumenmesh.Recording: {len(self)} frames, {points} echoes>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Recording, (self.poses, self.contours, self.time, self.cylinders)
+        return Recording, (self.poses, self.contours, self.time, self.cylinders, self.phase)
 
 
 class Mesh:

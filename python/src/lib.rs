@@ -62,6 +62,19 @@ fn contour(points: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<DVec2>> {
 #[pyclass(frozen, module = "lumenmesh._lumenmesh")]
 struct NativeRecording(CoreRecording);
 
+impl NativeRecording {
+    /// A number of each frame, NaN where it has none; `None` where no frame has it.
+    fn of_frames<'py>(
+        &self,
+        py: Python<'py>,
+        of: impl Fn(&Frame) -> Option<f64>,
+    ) -> Option<Bound<'py, PyArray1<f64>>> {
+        let numbers: Vec<Option<f64>> = self.0.frames.iter().map(of).collect();
+        let all = || numbers.iter().map(|number| number.unwrap_or(f64::NAN));
+        numbers.iter().any(Option::is_some).then(|| Array1::from_iter(all()).into_pyarray(py))
+    }
+}
+
 #[pymethods]
 impl NativeRecording {
     #[new]
@@ -70,6 +83,7 @@ impl NativeRecording {
         contours: Vec<PyReadonlyArray2<'_, f64>>,
         time: Option<PyReadonlyArray1<'_, f64>>,
         cylinders: Option<PyReadonlyArray2<'_, f64>>,
+        phase: Option<PyReadonlyArray1<'_, f64>>,
     ) -> PyResult<Self> {
         let matrices: Vec<[[f64; 4]; 4]> = poses.as_slice()?.chunks_exact(16).map(matrix).collect();
         let contours: Vec<Vec<DVec2>> = contours.iter().map(contour).collect::<PyResult<_>>()?;
@@ -77,6 +91,11 @@ impl NativeRecording {
         if let Some(time) = time {
             for (frame, &time_s) in recording.frames.iter_mut().zip(time.as_slice()?) {
                 frame.time_s = Some(time_s).filter(|t| !t.is_nan());
+            }
+        }
+        if let Some(phase) = phase {
+            for (frame, &phase) in recording.frames.iter_mut().zip(phase.as_slice()?) {
+                frame.phase = Some(phase).filter(|phase| !phase.is_nan());
             }
         }
         if let Some(cylinders) = cylinders {
@@ -132,9 +151,11 @@ impl NativeRecording {
     }
 
     fn time<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
-        let frames = &self.0.frames;
-        let time = || frames.iter().map(|frame| frame.time_s.unwrap_or(f64::NAN));
-        frames.iter().any(|frame| frame.time_s.is_some()).then(|| Array1::from_iter(time()).into_pyarray(py))
+        self.of_frames(py, |frame| frame.time_s)
+    }
+
+    fn phase<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
+        self.of_frames(py, |frame| frame.phase)
     }
 
     fn cylinders<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray2<f64>>> {

@@ -240,6 +240,19 @@ def test_other_threads_run_meanwhile(simulated):
     assert counted > 2
 
 
+def test_phases_of_a_cycle_are_kept(simulated, tmp_path):
+    recording, _ = simulated
+    assert recording.phase is None
+    phase = np.arange(len(recording)) * 0.1
+    phase[3] = np.nan
+    phased = lm.Recording(recording.poses, recording.contours, recording.time, phase=phase)
+    phased.save(tmp_path / "phased.mat")
+    for copy in (phased, pickle.loads(pickle.dumps(phased)), lm.read(tmp_path / "phased.mat")):
+        assert np.array_equal(copy.phase, phase, equal_nan=True)
+    with pytest.raises(lm.Error, match="phase"):
+        lm.Recording(recording.poses, recording.contours, phase=phase[1:])
+
+
 def test_objects_can_be_pickled(simulated):
     recording, truth = simulated
     copy = pickle.loads(pickle.dumps(recording))

@@ -16,6 +16,7 @@ mod surface;
 mod tracker;
 pub(crate) mod wall;
 
+pub use crate::error::StageProgress;
 pub use errors::{AlikeErrors, Beat, RecordingErrors};
 pub(crate) use live::{LiveSweep, Step};
 pub(crate) use motion::{AtRest, StateError, at_rest};
@@ -45,9 +46,6 @@ use report::{FittedWall, timed};
 use std::ops::ControlFlow;
 use wall::engine;
 use wall::fit::{Checkpoint, Wall};
-
-/// Told of the stage that begins, the number of stages done, and their number in all; on any thread.
-pub type StageProgress<'a> = dyn Fn(&'static str, usize, usize) -> ControlFlow<()> + Sync + 'a;
 
 /// The stages of a sweep: axis, place, fit, tracker, support.
 const STAGES: usize = 5;

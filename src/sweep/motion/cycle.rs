@@ -236,8 +236,9 @@ mod tests {
         rhythm.waves[2][1] = 1.0;
         for start in [0.0, 0.1, 0.6] {
             let rest = rhythm.rest_phase(start);
-            assert!(((rest + start - 0.5).rem_euclid(1.0) + 0.5).rem_euclid(1.0) - 0.5 < 0.17, "{rest}");
-            assert!((rest + start).rem_euclid(1.0) > 0.33, "{rest}");
+            // From the one end to the other it goes 8 mm.
+            let from_end_mm = apart_mm(&rhythm.of_phase(rest + start), &rhythm.of_phase(0.5));
+            assert!(from_end_mm <= REST_SHARE * 8.0, "{rest}: {from_end_mm}");
         }
         let [place, size] = rhythm.extremes();
         assert!((place[0] - place[1]).abs() > 0.3 && size == [0.0; 2], "{place:?}");

@@ -7,12 +7,11 @@
 
 use super::joint::{BendingPrior, Fit, GlobalEquations, Joint, Motion, NoiseLevels, SEGMENTS, corrected};
 use super::{Estimate, Estimator, FITS, SIGNIFICANT, motions, moved};
-use crate::error::unless_cancelled;
+use crate::error::{StageProgress, unless_cancelled};
 use crate::geometry::Pose;
 use crate::numerics::cholesky::{self, Matrix, cholesky, dot, inverse_column};
 use crate::recording::Recording;
 use crate::settings::{Backend, Calibration, Settings};
-use crate::sweep::StageProgress;
 use crate::sweep::prepare::Prepared;
 use crate::sweep::prepare::axis::Axis;
 use crate::sweep::prepare::echo::Echo;
