@@ -120,6 +120,9 @@ const BENDING_SHARE: f64 = 1e-3;
 /// residuals that are smaller tell nothing: with half of it, a single pass along an arch whose tracker had noise seemed to tell a
 /// rotation by -20°.
 const MODEL_ERROR: f64 = 0.01;
+/// What is corrected is beyond this many standard errors. They are some four times the errors that simulated recordings show,
+/// so that fewer than three suffice.
+const CORRECTED_ERRORS: f64 = 2.0;
 /// Beyond so many standard deviations an echo says that it is off the wall, not how far.
 const MOST_SDS: f64 = 3.0;
 
@@ -428,7 +431,7 @@ impl Posterior {
     fn significant(&self, values: &Parameters) -> Result<Parameters> {
         let errors = &self.standard_errors;
         let kept: [bool; PARAMETERS] =
-            std::array::from_fn(|i| errors[i] < TOLD && values[i].abs() > SIGNIFICANT * errors[i]);
+            std::array::from_fn(|i| errors[i] < TOLD && values[i].abs() > CORRECTED_ERRORS * errors[i]);
         let among = |i: usize, j: usize| match kept[i] && kept[j] {
             true => self.precision[i][j],
             false => f64::from(u8::from(i == j)),
