@@ -159,14 +159,17 @@ pub(super) fn find(wall: &Wall, echoes: &WorldEchoes) -> Result<Vec<(Mouth, Vec<
         return Ok(Vec::new());
     }
     let sights = sights(wall, &caster, &echoes.at_most(MOST_SIGHTS));
+    let suspects = suspects(wall, &sights, &neighbours);
+    let found: Vec<_> = suspects
+        .par_iter()
+        .map(|suspect| suspect.mouth(wall, &sights, &neighbours))
+        .collect::<Result<_>>()?;
     let mut mouths: Vec<(Mouth, Vec<u32>)> = Vec::new();
     let mut tubes: Vec<LocalTube> = Vec::new();
-    for suspect in suspects(wall, &sights, &neighbours) {
-        let is_known = |tube: &LocalTube| outside_mm(tube, suspect.centre_mm) < 0.0;
-        if tubes.iter().any(is_known) {
-            continue;
-        }
-        if let Some((mouth, nodes, tube)) = suspect.mouth(wall, &sights, &neighbours)? {
+    for (suspect, found) in suspects.iter().zip(found) {
+        // Smaller suspects may lie in the mouth of a larger one.
+        let is_known = tubes.iter().any(|tube| outside_mm(tube, suspect.centre_mm) < 0.0);
+        if let Some((mouth, nodes, tube)) = found.filter(|_| !is_known) {
             mouths.push((mouth, nodes));
             tubes.push(tube);
         }

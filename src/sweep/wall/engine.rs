@@ -64,7 +64,7 @@ pub(in crate::sweep) fn fit(
     grid: &WallGrid,
     echoes: &mut [Echo],
     settings: &Settings,
-    device: &WallDevice,
+    #[cfg_attr(not(feature = "gpu"), expect(unused_variables))] device: &WallDevice,
     checkpoint: &Checkpoint,
 ) -> Result<(Wall, EngineDescription)> {
     let fit_on_cpu =
