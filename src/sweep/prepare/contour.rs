@@ -72,7 +72,7 @@ fn wrapped(points: &[DVec2], beyond: usize) -> Vec<DVec2> {
     [before, points, &points[..beyond]].concat()
 }
 
-/// The median of nine numbers, by a network that compares and swaps (A. W. Paeth, *Median finding on a 3 × 3 grid*, 1990).
+/// The median of nine numbers, by a network that compares and swaps (*Median finding on a 3 × 3 grid*, Graphics Gems, 1990).
 fn median_of_nine(mut x: [f64; 9]) -> f64 {
     const SWAPS: [(usize, usize); 19] = [
         (1, 2),
