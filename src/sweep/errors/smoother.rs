@@ -124,7 +124,7 @@ impl<'a> Smoother<'a> {
 
     /// What the [`wall`](Self::wall) through errors of the echoes leaves of them, mm.
     pub(super) fn residuals(&self, errors_mm: &[f64], wall_mm: &[f64]) -> impl Iterator<Item = f64> {
-        self.terms.iter().zip(errors_mm).map(|(term, error)| error - term.at(wall_mm))
+        self.terms.iter().zip(errors_mm).map(|(term, error)| term.left(*error, wall_mm))
     }
 
     /// What the fit misses of the bends of a wall that is as rough as the smoothing assumes, mm.

@@ -2,7 +2,7 @@
 //!
 //! With the wall r free, an echo's residual is `y = P (e + G β)`: β are the parameters of the cycles, G their effects on the
 //! echo, and P is what a fit of the wall leaves of the echoes' values. The likeliest change of β solves
-//! `(GᵀW P G + σ²S⁻¹) δ = GᵀW y - σ²S⁻¹ β`, where W has the robust weights and S the variances that are expected of β.
+//! `(GᵀW P G + σ²D⁻¹) δ = GᵀW y - σ²D⁻¹ β`, where W has the robust weights and D the variances that are expected of β.
 
 use super::cycle::{Clock, PARTS, Rhythm, State, WAVES, waves_at};
 use crate::numerics::cholesky::{Matrix, cholesky, dot, inverse_column, solve};
@@ -93,8 +93,7 @@ pub(super) struct Covariance(Vec<Parameters>);
 impl Covariance {
     /// The variance of a sum of parameters with these factors.
     pub fn variance(&self, factors: &Parameters) -> f64 {
-        let of_line = |line: &Parameters| line.iter().zip(factors).map(|(a, b)| a * b).sum::<f64>();
-        self.0.iter().zip(factors).map(|(line, factor)| factor * of_line(line)).sum::<f64>().max(0.0)
+        self.of(factors, factors).max(0.0)
     }
 
     /// The covariance of two sums of parameters.

@@ -5,8 +5,8 @@
 //! the model of wall and poses ([`joint`](super::joint)): Gauss-Newton steps with radii and pose errors eliminated, each about
 //! a wall that is fitted anew.
 
-use super::joint::{BendingPrior, Fit, GlobalEquations, Joint, Motion, NoiseLevels, SEGMENTS, corrected};
-use super::{Estimate, Estimator, FITS, SIGNIFICANT, motions, moved};
+use super::joint::{BendingPrior, Fit, GlobalEquations, Joint, NoiseLevels, SEGMENTS, Velocity, corrected};
+use super::{Estimate, Estimator, FITS, SIGNIFICANT, moved, velocities};
 use crate::error::{StageProgress, unless_cancelled};
 use crate::geometry::Pose;
 use crate::numerics::cholesky::{self, Matrix, cholesky, dot, inverse_column};
@@ -169,11 +169,11 @@ impl Correction {
         &self,
         recording: &Recording,
         settings: &Settings,
-        motions: &[Motion],
+        velocities: &[Velocity],
     ) -> (Recording, Settings) {
         let mut recording = recording.clone();
         let sensors: Vec<Pose> = recording.frames.iter().map(|frame| frame.world_from_sensor).collect();
-        for (frame, pose) in recording.frames.iter_mut().zip(moved(&sensors, motions, self.seconds)) {
+        for (frame, pose) in recording.frames.iter_mut().zip(moved(&sensors, velocities, self.seconds)) {
             frame.cylinder = None;
             frame.world_from_sensor = pose;
             frame.contour_mm.iter_mut().for_each(|p| *p *= self.sound_speed);
@@ -200,16 +200,16 @@ fn thinned(recording: &Recording) -> Recording {
 }
 
 /// The velocities of the poses; all 0 without times that increase, which then tell nothing of an offset.
-fn motions_of(recording: &Recording) -> Vec<Motion> {
-    motions(&recording.frames, MOTION_WINDOW_S)
-        .unwrap_or_else(|_| vec![Motion::default(); recording.frames.len()])
+fn velocities_of(recording: &Recording) -> Vec<Velocity> {
+    velocities(&recording.frames, MOTION_WINDOW_S)
+        .unwrap_or_else(|_| vec![Velocity::default(); recording.frames.len()])
 }
 
 /// A recording to be calibrated.
 struct Calibrator<'a> {
     recording: &'a Recording,
     settings: Settings,
-    motions: Vec<Motion>,
+    velocities: Vec<Velocity>,
     checkpoint: &'a Checkpoint<'a>,
 }
 
@@ -284,7 +284,7 @@ struct Linearised {
 impl Calibrator<'_> {
     /// How far the echoes lie from a wall that is fitted to them.
     fn residuals(&self, correction: &Correction) -> Result<Residuals> {
-        let (recording, settings) = correction.applied(self.recording, &self.settings, &self.motions);
+        let (recording, settings) = correction.applied(self.recording, &self.settings, &self.velocities);
         let prepared = Prepared::of(&recording, &settings)?;
         let (echoes, wall) = self.fitted(&prepared, &settings)?;
         Ok(Residuals::of(&echoes, &wall, correction))
@@ -299,7 +299,7 @@ impl Calibrator<'_> {
     }
 
     fn linearised(&self, correction: &Correction) -> Result<Linearised> {
-        let (recording, settings) = correction.applied(self.recording, &self.settings, &self.motions);
+        let (recording, settings) = correction.applied(self.recording, &self.settings, &self.velocities);
         let prepared = Prepared::of(&recording, &settings)?;
         let Prepared { grid, axis, .. } = &prepared;
         let (echoes, wall) = self.fitted(&prepared, &settings)?;
@@ -318,7 +318,7 @@ impl Calibrator<'_> {
         let displacements = |frame: usize, on_wall: DVec3| {
             let arm = on_wall - origins_mm[frame];
             let DMat3 { x_axis: x, y_axis: y, z_axis: z } = probes[frame].rotation;
-            let Motion { shift_mm, turn_rad } = self.motions[frame];
+            let Velocity { shift_mm, turn_rad } = self.velocities[frame];
             let later = shift_mm + turn_rad.cross(on_wall - right[frame].translation_mm);
             [x, y, z, x.cross(arm), y.cross(arm), z.cross(arm), arm, later]
         };
@@ -465,7 +465,7 @@ impl SelfCalibration {
         let calibrator = Calibrator {
             recording,
             settings: settings.clone().with_backend(Backend::Cpu),
-            motions: motions_of(recording),
+            velocities: velocities_of(recording),
             checkpoint: &checkpoint,
         };
         let as_recorded = calibrator.linearised(&Correction::of(Mirror::No))?;
@@ -512,6 +512,6 @@ impl SelfCalibration {
         if start.mirror == Mirror::No && step == [0.0; PARAMETERS] {
             return (recording.clone(), settings.clone());
         }
-        start.stepped(&step).applied(recording, settings, &motions_of(recording))
+        start.stepped(&step).applied(recording, settings, &velocities_of(recording))
     }
 }

@@ -35,7 +35,7 @@ const ASCENT_STEPS: usize = 10;
 
 /// Velocity of a pose: shift in mm/s and rotation in rad/s, in the world's axes.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Motion {
+pub(super) struct Velocity {
     pub shift_mm: DVec3,
     pub turn_rad: DVec3,
 }

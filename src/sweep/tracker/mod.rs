@@ -16,7 +16,7 @@ use crate::sweep::wall::fit::{Checkpoint, Wall};
 use crate::{Error, Result};
 pub use calibration::{CalibrationParameter, Mirror, SelfCalibration};
 use glam::{DMat3, DQuat, DVec2, DVec3};
-use joint::{BendingPrior, Joint, Motion, NoiseLevels, Offset, Twist, corrected, split};
+use joint::{BendingPrior, Joint, NoiseLevels, Offset, Twist, Velocity, corrected, split};
 use serde::Serialize;
 
 /// The estimated errors of the tracker, and the part of them that was corrected.
@@ -91,8 +91,8 @@ impl Tracker {
         let mut sensors = prepared.sensors();
         let mut report = Self::default();
         if settings.estimate_offset {
-            let motions = motions(frames, VELOCITY_WINDOW_S)?;
-            let found = estimator.estimate(&sensors, Some(&motions), echoes.clone(), wall.clone())?;
+            let velocities = velocities(frames, VELOCITY_WINDOW_S)?;
+            let found = estimator.estimate(&sensors, Some(&velocities), echoes.clone(), wall.clone())?;
             let Offset { seconds, standard_error_s } = found.offset;
             report.noise_mm = found.shift_sd_mm;
             report.solver_steps += found.solver_steps;
@@ -101,7 +101,7 @@ impl Tracker {
             report.offset_corrected =
                 seconds.abs() > SIGNIFICANT * standard_error_s && seconds.abs() <= MAX_OFFSET_S;
             if report.offset_corrected {
-                sensors = moved(&sensors, &motions, seconds);
+                sensors = moved(&sensors, &velocities, seconds);
                 *echoes = prepared.echoes(&sensors);
                 estimator.project(echoes, wall);
                 *wall = refit(grid, echoes, settings.roughness, wall.clone(), checkpoint)?;
@@ -185,18 +185,18 @@ struct Estimate {
 }
 
 impl Estimator<'_> {
-    /// Estimates the errors of the poses, and with `motions` the offset along them: at the same time, since each could
+    /// Estimates the errors of the poses, and with `velocities` the offset along them: at the same time, since each could
     /// otherwise be mistaken for the other.
     fn estimate(
         &self,
         sensors: &[Pose],
-        motions: Option<&[Motion]>,
+        velocities: Option<&[Velocity]>,
         mut echoes: Vec<Echo>,
         mut wall: Wall,
     ) -> Result<Estimate> {
         let Prepared { grid, axis, .. } = self.prepared;
-        let still = vec![Motion::default(); sensors.len()];
-        let along = motions.unwrap_or(&still);
+        let still = vec![Velocity::default(); sensors.len()];
+        let along = velocities.unwrap_or(&still);
         let mut levels = NoiseLevels { noise_mm: wall.noise_mm, shift_mm: START_SHARE * wall.noise_mm };
         let mut errors = vec![Twist::default(); sensors.len()];
         let mut offset = Offset { seconds: 0.0, standard_error_s: f64::INFINITY };
@@ -207,12 +207,12 @@ impl Estimator<'_> {
         wall.out_of_plane = CONTOUR_OUT_OF_PLANE;
         for round in 0..MAX_ROUNDS {
             let joint = Joint::about(grid, axis, &echoes, &wall, &now, &errors, |frame, point| {
-                let Motion { shift_mm, turn_rad } = along[frame];
+                let Velocity { shift_mm, turn_rad } = along[frame];
                 [shift_mm + turn_rad.cross(point - now[frame].translation_mm)]
             });
             let fit = joint.fit(levels, FITS, self.roughness, &mut prior, &mut wall.radii_mm)?;
             let mut is_offset_left = false;
-            if motions.is_some() {
+            if velocities.is_some() {
                 let step = joint.offset(&fit, self.roughness, &prior, &wall.radii_mm)?;
                 // Not finite without any motion.
                 if step.seconds.is_finite() {
@@ -282,17 +282,17 @@ impl Search {
 
 /// The poses `seconds` later along their motion. Interpolation between neighbours would average the noise away halfway
 /// between two frames, and bias the offset towards there.
-fn moved(sensors: &[Pose], motions: &[Motion], seconds: f64) -> Vec<Pose> {
-    let moved = |(pose, motion): (&Pose, &Motion)| Pose {
+fn moved(sensors: &[Pose], velocities: &[Velocity], seconds: f64) -> Vec<Pose> {
+    let moved = |(pose, motion): (&Pose, &Velocity)| Pose {
         rotation: DMat3::from_quat(DQuat::from_scaled_axis(motion.turn_rad * seconds)) * pose.rotation,
         translation_mm: pose.translation_mm + motion.shift_mm * seconds,
     };
-    sensors.iter().zip(motions).map(moved).collect()
+    sensors.iter().zip(velocities).map(moved).collect()
 }
 
 /// The velocity of the pose at each frame: slopes of position and of the rotation vector from that frame, over the frames
 /// within this time before and after.
-fn motions(frames: &[Frame], window_s: f64) -> Result<Vec<Motion>> {
+fn velocities(frames: &[Frame], window_s: f64) -> Result<Vec<Velocity>> {
     let needed = |frame, found: String| Error::Frame {
         frame,
         field: "time",
@@ -313,7 +313,7 @@ fn motions(frames: &[Frame], window_s: f64) -> Result<Vec<Motion>> {
         let window = first..end.min(frames.len());
         let mean_s = times_s[window.clone()].iter().sum::<f64>() / window.len() as f64;
         let here = &frames[k].world_from_sensor;
-        let (mut motion, mut square) = (Motion::default(), 0.0);
+        let (mut motion, mut square) = (Velocity::default(), 0.0);
         for j in window {
             let there = &frames[j].world_from_sensor;
             let turn = DQuat::from_mat3(&(there.rotation * here.rotation.transpose())).normalize();
@@ -349,7 +349,7 @@ mod tests {
         };
         let frames: Vec<Frame> = (0..30).map(frame).collect();
         let sensors: Vec<Pose> = frames.iter().map(|f| f.world_from_sensor).collect();
-        let later = moved(&sensors, &motions(&frames, VELOCITY_WINDOW_S).unwrap(), 0.2);
+        let later = moved(&sensors, &velocities(&frames, VELOCITY_WINDOW_S).unwrap(), 0.2);
         for (frame, pose) in frames.iter().zip(later) {
             let there = at(frame.time_s.unwrap() + 0.2);
             assert!(pose.translation_mm.distance(there.translation_mm) < 1e-9, "{pose:?}");
