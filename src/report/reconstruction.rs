@@ -11,7 +11,9 @@ use crate::branching::Mouth;
 use crate::evaluate::{self, Evaluation, SystematicErrors, Truth};
 use crate::reconstruction::{Lumen, LumenReport};
 use crate::recording::{LeftOut, MinMedianMax, Recording, Summary};
+use crate::settings::{Calibrate, Settings};
 use crate::surface::Surface;
+use crate::sweep::{Mirror, Motion, SelfCalibration};
 use glam::DVec3;
 
 /// The content of a page.
@@ -153,6 +155,13 @@ fn summary(page: &mut Page, content: &PageContent) {
         LumenReport::Branches(report) => branches::summary_rows(report),
         LumenReport::CylinderBranches(report) => branches::cylinder_summary_rows(report),
     });
+    rows.extend(content.lumen.motion().map(|motion| ("motion", of_motion(motion))));
+    rows.extend(
+        content
+            .lumen
+            .calibration()
+            .map(|found| ("calibration", of_calibration(found, content.lumen.settings()))),
+    );
     page.table(&facts(rows));
     let mouths = content.lumen.mouths();
     if !mouths.is_empty() {
@@ -181,6 +190,31 @@ fn summary(page: &mut Page, content: &PageContent) {
         for finding in &screening.suspicions {
             page.listing(&finding.to_string());
         }
+    }
+}
+
+/// Which state of a vessel that moves is shown.
+fn of_motion(motion: &Motion) -> String {
+    let Some(shown) = motion.shown else {
+        return format!("{} frames of the window of phases are used", motion.frames);
+    };
+    if motion.cycles.is_empty() {
+        return "none that is significant".into();
+    }
+    let frequencies: Vec<String> =
+        motion.cycles.iter().map(|cycle| format!("{:.3} Hz", cycle.frequency_hz)).collect();
+    format!("{} removed; the vessel is shown at {shown}", frequencies.join(" and "))
+}
+
+/// What of a calibration was found to be wrong, and whether that was corrected.
+fn of_calibration(found: &SelfCalibration, settings: &Settings) -> String {
+    let what = if settings.sweep.calibrate == Calibrate::Apply { "corrected" } else { "significant errors" };
+    let wrong = found.parameters.iter().filter(|parameter| parameter.correction != 0.0);
+    let wrong: Vec<String> = wrong.map(|p| format!("{} {:+.3} {}", p.name, p.correction, p.unit)).collect();
+    match found.mirror {
+        Some(Mirror::X | Mirror::Y) => format!("{what}: images are mirrored"),
+        _ if wrong.is_empty() => "no error is significant".into(),
+        _ => format!("{what}: {}", wrong.join(", ")),
     }
 }
 

@@ -243,6 +243,10 @@ fn the_command_says_what_moves() {
     let (status, said, stderr) = run(&["--motion", "0"]);
     assert_eq!(status, 0, "{stderr}");
     assert!(said.contains("motion     at 0.2") && said.contains("shown at phase 0 of its cycles"), "{said}");
+    let page = ["report", "rec.mat", "-o", "page.html", "--motion", "0"];
+    assert_eq!(crate::support::lumenmesh(&page, folder.path()).0, 0);
+    let page = std::fs::read_to_string(folder.path().join("page.html")).unwrap();
+    assert!(page.contains("Hz removed; the vessel is shown at phase 0 of its cycles"));
     let (_, said, _) = run(&["--motion", "mean", "--json"]);
     let said: serde_json::Value = serde_json::from_str(&said).unwrap();
     assert_eq!(said["settings"]["motion"]["shown"], "mean");
