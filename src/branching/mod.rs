@@ -24,7 +24,7 @@ pub use tree::{BranchPath, BranchTree, Dismissed};
 use crate::recording::Recording;
 use crate::settings::Settings;
 use crate::surface::Surface;
-use crate::sweep::{StageProgress, StateError, Support, Sweep, WallDevice};
+use crate::sweep::{Outlines, StageProgress, StateError, Support, Sweep, WallDevice};
 use crate::{Error, Result};
 use echoes::WorldEchoes;
 use fit::{NodeSupport, TubeFit};
@@ -63,12 +63,15 @@ impl BranchedSweep {
     /// # Errors
     /// As [`Sweep::of`].
     pub fn of(recording: &Recording, settings: &Settings, progress: &StageProgress) -> Result<Option<Self>> {
-        Self::with_device(recording, settings, progress, &WallDevice::default())
+        recording.check()?;
+        let outlines = Outlines::of(&recording.frames);
+        Self::with_device(recording, &outlines, settings, progress, &WallDevice::default())
     }
 
-    /// As [`BranchedSweep::of`]; where a device fits walls it is this one.
+    /// As [`BranchedSweep::of`], of a recording whose contours have these outlines; where a device fits walls it is this one.
     pub(crate) fn with_device(
         recording: &Recording,
+        outlines: &Outlines,
         settings: &Settings,
         progress: &StageProgress,
         device: &WallDevice,
@@ -76,15 +79,16 @@ impl BranchedSweep {
         settings.validate()?;
         recording.check()?;
         let start = Instant::now();
-        let mut tree = BranchTree::of(&recording.frames, &settings.calibration.sensor_from_probe());
-        let tree_s = start.elapsed().as_secs_f64();
+        let sensor_from_probe = settings.calibration.sensor_from_probe();
+        let mut tree = BranchTree::with_outlines(&recording.frames, outlines, &sensor_from_probe);
+        let tree_s = outlines.seconds + start.elapsed().as_secs_f64();
         let start = Instant::now();
         // A branch that cannot be swept, such as one that was hardly entered, is none.
         let mut sweeps = loop {
             if tree.is_single() {
                 return Ok(None);
             }
-            match swept(recording, &tree, settings, progress, device)? {
+            match swept(recording, outlines, &tree, settings, progress, device)? {
                 Ok(sweeps) => break sweeps,
                 Err((number, why)) => tree = tree.without(number, format!("it cannot be swept: {why}")),
             }
@@ -230,6 +234,7 @@ fn part(recording: &Recording, frames: &[usize]) -> Recording {
 /// The sweeps of all branches, or the number of one that has none and why.
 fn swept(
     recording: &Recording,
+    outlines: &Outlines,
     tree: &BranchTree,
     settings: &Settings,
     progress: &StageProgress,
@@ -238,13 +243,14 @@ fn swept(
     let count = tree.branches.len();
     let reached: Vec<AtomicUsize> = (0..count).map(|_| AtomicUsize::new(0)).collect();
     let sweep = |number: usize| {
-        let part = part(recording, &tree.frames_of(number));
+        let frames = tree.frames_of(number);
+        let (part, outlines) = (part(recording, &frames), outlines.part(&frames));
         let tell = |stage: &'static str, done: usize, total: usize| -> ControlFlow<()> {
             reached[number].fetch_max(done, Ordering::Relaxed);
             let done = reached.iter().map(|reached| reached.load(Ordering::Relaxed)).sum();
             progress(stage, done, count * total)
         };
-        Sweep::run_with(&part, settings, &tell, device)
+        Sweep::run_with(&part, outlines, settings, &tell, device)
     };
     let found: Vec<Result<Sweep>> = (0..count).into_par_iter().map(sweep).collect();
     let mut sweeps = Vec::new();

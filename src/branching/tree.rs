@@ -10,7 +10,7 @@ use crate::geometry::Pose;
 use crate::numerics::graph::{Places, shortest_paths};
 use crate::numerics::robust::median;
 use crate::recording::Frame;
-use crate::sweep::{Axis, Outline};
+use crate::sweep::{Axis, Outlines};
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -94,10 +94,16 @@ impl BranchTree {
     /// Finds the branches that the frames of a recording lie in. Contours that are not star-shaped about their centres are
     /// left out.
     pub fn of(frames: &[Frame], sensor_from_probe: &Pose) -> Self {
+        Self::with_outlines(frames, &Outlines::of(frames), sensor_from_probe)
+    }
+
+    /// As [`BranchTree::of`], of frames whose contours have these outlines.
+    pub(super) fn with_outlines(frames: &[Frame], outlines: &Outlines, sensor_from_probe: &Pose) -> Self {
         let sights: Vec<Option<Sight>> = frames
-            .par_iter()
-            .map(|frame| {
-                let outline = Outline::of(frame).filter(Outline::is_star_shaped)?;
+            .iter()
+            .zip(&outlines.of_frames)
+            .map(|(frame, outline)| {
+                let outline = outline.as_ref().filter(|outline| outline.is_star_shaped())?;
                 let pose = frame.world_from_sensor * *sensor_from_probe;
                 let centre_mm = pose.transform_point(outline.centre_mm.extend(0.0));
                 (outline.radius_mm > 0.0).then_some(Sight { centre_mm, radius_mm: outline.radius_mm })

@@ -15,7 +15,7 @@ use crate::error::unless_cancelled;
 use crate::recording::{Recording, Screened, Screening};
 use crate::settings::{Branches, Calibrate, Method, Settings};
 use crate::surface::Surface;
-use crate::sweep::{AtRest, Motion, SelfCalibration, Sweep, SweepReport, WallDevice, at_rest};
+use crate::sweep::{AtRest, Motion, Outlines, SelfCalibration, Sweep, SweepReport, WallDevice, at_rest};
 use crate::{Error, Result};
 use serde::Serialize;
 use std::borrow::Cow;
@@ -144,9 +144,12 @@ impl<'a> Reconstructor<'a> {
             }
             Method::Sweep => {
                 let tell = |stage, done, total| (self.on_progress)(Progress { stage, done, total });
+                recording.check()?;
+                let outlines = Outlines::of(&recording.frames);
+                let device = &self.wall_device;
                 let branched = match settings.branches {
                     Branches::Auto => {
-                        BranchedSweep::with_device(recording, settings, &tell, &self.wall_device)
+                        BranchedSweep::with_device(recording, &outlines, settings, &tell, device)
                             .map_err(named)?
                     }
                     Branches::Off => None,
@@ -155,7 +158,7 @@ impl<'a> Reconstructor<'a> {
                     Some(branched) => Vessel::Branches(branched),
                     None => {
                         let mut sweep =
-                            Sweep::run_with(recording, settings, &tell, &self.wall_device).map_err(named)?;
+                            Sweep::run_with(recording, outlines, settings, &tell, device).map_err(named)?;
                         let mouths = match settings.branches {
                             Branches::Auto => branching::open_mouths_of(recording, settings, &mut sweep)?,
                             Branches::Off => Vec::new(),

@@ -35,6 +35,7 @@ use crate::geometry::{Pose, polygon};
 use crate::output::ending;
 use crate::{Error, Result};
 use glam::DVec2;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -291,7 +292,8 @@ impl Recording {
                 expected: "at least 1".into(),
             });
         }
-        self.frames.iter().enumerate().try_for_each(|(k, frame)| frame.check(self.number(k)))
+        let frames = self.frames.par_iter().enumerate();
+        frames.find_map_first(|(k, frame)| frame.check(self.number(k)).err()).map_or(Ok(()), Err)
     }
 }
 

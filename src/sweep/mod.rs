@@ -23,7 +23,7 @@ pub(crate) use motion::{AtRest, StateError, at_rest};
 pub use motion::{Cycle, Motion};
 pub(crate) use prepare::BEYOND_RADII;
 pub use prepare::axis::Axis;
-pub(crate) use prepare::contour::Outline;
+pub(crate) use prepare::contour::Outlines;
 pub(crate) use prepare::noise::outward_bias_mm;
 pub use report::{SweepReport, SweepTimings};
 pub use support::Support;
@@ -83,17 +83,20 @@ impl Sweep {
     /// # Errors
     /// As [`Sweep::of`].
     pub fn run(recording: &Recording, settings: &Settings, progress: &StageProgress) -> Result<Self> {
-        Self::run_with(recording, settings, progress, &WallDevice::default())
+        recording.check()?;
+        let outlines = Outlines::of(&recording.frames);
+        Self::run_with(recording, outlines, settings, progress, &WallDevice::default())
     }
 
-    /// As [`Sweep::run`]; where a device fits the wall it is this one.
+    /// As [`Sweep::run`], of a recording whose contours have these outlines; where a device fits the wall it is this one.
     pub(crate) fn run_with(
         recording: &Recording,
+        outlines: Outlines,
         settings: &Settings,
         progress: &StageProgress,
         device: &WallDevice,
     ) -> Result<Self> {
-        Self::fitted(recording, settings, progress, |grid, echoes, checkpoint| {
+        Self::fitted(recording, outlines, settings, progress, |grid, echoes, checkpoint| {
             engine::fit(grid, echoes, settings, device, checkpoint)
         })
     }
@@ -104,7 +107,10 @@ impl Sweep {
     /// As [`Sweep::of`], and [`Error::Gpu`] where the device fails.
     #[cfg(feature = "gpu")]
     pub fn on_device(recording: &Recording, settings: &Settings, device: &GpuWallEngine) -> Result<Self> {
-        Self::fitted(recording, settings, &|_, _, _| ControlFlow::Continue(()), |grid, echoes, checkpoint| {
+        recording.check()?;
+        let outlines = Outlines::of(&recording.frames);
+        let quiet = |_: &'static str, _: usize, _: usize| ControlFlow::Continue(());
+        Self::fitted(recording, outlines, settings, &quiet, |grid, echoes, checkpoint| {
             let wall = engine::fit_on_device(grid, echoes, settings, device, checkpoint)?;
             Ok((wall, device.describe()))
         })
@@ -118,7 +124,7 @@ impl Sweep {
         settings: &'a Settings,
         device: &'a GpuWallEngine,
     ) -> Result<impl FnMut() -> Result<f64> + 'a> {
-        let prepared = Prepared::of(recording, settings)?;
+        let prepared = Prepared::of(recording, Outlines::of(&recording.frames), settings)?;
         let mut echoes = prepared.echoes(&prepared.sensors());
         Ok(move || {
             let mut seconds = 0.0;
@@ -130,16 +136,17 @@ impl Sweep {
 
     fn fitted(
         recording: &Recording,
+        outlines: Outlines,
         settings: &Settings,
         progress: &StageProgress,
         fit: impl FnOnce(&WallGrid, &mut [Echo], &Checkpoint) -> Result<(Wall, EngineDescription)>,
     ) -> Result<Self> {
         settings.validate()?;
         recording.check()?;
-        let mut seconds = SweepTimings::default();
+        let mut seconds = SweepTimings { axis: outlines.seconds, ..SweepTimings::default() };
         let progress = |stage, done| unless_cancelled(progress(stage, done, STAGES));
         progress("finding the axis", 0)?;
-        let prepared = timed(&mut seconds.axis, || Prepared::of(recording, settings))?;
+        let prepared = timed(&mut seconds.axis, || Prepared::of(recording, outlines, settings))?;
         progress("placing the echoes", 1)?;
         let mut echoes = timed(&mut seconds.place, || prepared.echoes(&prepared.sensors()));
         let fitting = || progress("fitting the wall", 2);

@@ -3,6 +3,7 @@
 use crate::numerics::robust::median;
 use crate::recording::Frame;
 use glam::DVec2;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -77,7 +78,7 @@ const MAX_COMPARED: usize = 128;
 impl Chords {
     /// The chord at one place of the image that a recording has, if any. Others are found contour by contour.
     pub(super) fn fixed_in(frames: &[Frame]) -> Option<Self> {
-        let exact = frames.iter().filter(|frame| !straight(frame).is_empty()).count();
+        let exact = frames.par_iter().filter(|frame| !straight(frame).is_empty()).count();
         let fixed = if 2 * exact > frames.len() { None } else { fixed(frames) };
         fixed.map(|fixed| Self { fixed: Some(fixed), ..Self::default() })
     }
@@ -111,19 +112,24 @@ fn fixed(frames: &[Frame]) -> Option<FixedChord> {
         return None;
     }
     // Sums of the points about their middle, in units of their median distance from it, by quarters.
-    let mut sums = vec![vec![(DVec2::ZERO, 0.0); compared]; QUARTERS];
-    for (k, frame) in used.iter().enumerate() {
-        let count = frame.echoes_mm().count() as f64;
-        let middle = frame.echoes_mm().sum::<DVec2>() / count;
-        let size = median(&mut frame.echoes_mm().map(|p| p.distance(middle)).collect::<Vec<_>>());
-        let points = frame.contour_mm.iter().step_by(step);
-        for ((sum, count), p) in sums[k * QUARTERS / used.len()].iter_mut().zip(points) {
-            if p.is_finite() && size > 0.0 {
-                *sum += (*p - middle) / size;
-                *count += 1.0;
+    let of_quarter = |quarter: usize| {
+        let ends = [quarter, quarter + 1].map(|q| (q * used.len()).div_ceil(QUARTERS));
+        let mut sums = vec![(DVec2::ZERO, 0.0); compared];
+        for frame in &used[ends[0]..ends[1]] {
+            let count = frame.echoes_mm().count() as f64;
+            let middle = frame.echoes_mm().sum::<DVec2>() / count;
+            let size = median(&mut frame.echoes_mm().map(|p| p.distance(middle)).collect::<Vec<_>>());
+            let points = frame.contour_mm.iter().step_by(step);
+            for ((sum, count), p) in sums.iter_mut().zip(points) {
+                if p.is_finite() && size > 0.0 {
+                    *sum += (*p - middle) / size;
+                    *count += 1.0;
+                }
             }
         }
-    }
+        sums
+    };
+    let sums: Vec<Vec<(DVec2, f64)>> = (0..QUARTERS).into_par_iter().map(of_quarter).collect();
     let shape = |quarters: &[Vec<(DVec2, f64)>]| -> Vec<DVec2> {
         let total = |i: usize| quarters.iter().fold((DVec2::ZERO, 0.0), |(a, n), q| (a + q[i].0, n + q[i].1));
         (0..compared).map(total).map(|(sum, count)| sum / count).collect()

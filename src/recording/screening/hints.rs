@@ -27,8 +27,8 @@ const BETTER_PAIRS: f64 = 0.72;
 
 /// A finding where most contours do not contain the probe, but have a common centre elsewhere.
 pub(super) fn contour_centre(frames: &[&Frame]) -> Option<Finding> {
-    let centres: Vec<DVec2> = frames.iter().filter_map(|frame| frame.centroid_mm()).collect();
-    let outside = frames.iter().filter(|frame| outside_by_mm(frame).is_some()).count();
+    let centres: Vec<DVec2> = frames.par_iter().filter_map(|frame| frame.centroid_mm()).collect();
+    let outside = frames.par_iter().filter(|frame| outside_by_mm(frame).is_some()).count();
     if outside as f64 <= OUTSIDE_SHARE * centres.len() as f64 || centres.is_empty() {
         return None;
     }

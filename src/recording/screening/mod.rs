@@ -22,6 +22,7 @@ use super::{Conventions, Frame, Recording};
 use crate::geometry::Pose;
 use crate::{Error, Result};
 use path::Place;
+use rayon::iter::Either;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -197,21 +198,21 @@ impl Screening {
     /// Screens a recording; its frames with their contours cleaned come along.
     fn with_cleaned(recording: &Recording) -> (Self, Cow<'_, [Frame]>) {
         let (cleaning, frames) = Cleaning::of(&recording.frames);
-        let mut left_out = Vec::new();
-        let mut sound = Vec::with_capacity(frames.len());
-        for (k, frame) in frames.iter().enumerate() {
-            match frame.defects().into_iter().next() {
-                None => sound.push(k),
-                Some(defect) => left_out.push(LeftOut {
+        let defect = |(k, frame): (usize, &Frame)| {
+            let defect = frame.defects().into_iter().next();
+            defect.map_or(Either::Left(k), |defect| {
+                Either::Right(LeftOut {
                     place: k,
                     frame: k,
                     reason: Reason::Defect,
                     field: defect.field,
                     found: defect.found,
                     expected: defect.expected.into(),
-                }),
-            }
-        }
+                })
+            })
+        };
+        let (mut sound, mut left_out): (Vec<usize>, Vec<LeftOut>) =
+            frames.par_iter().enumerate().partition_map(defect);
         let mut places: Vec<Place> = sound.par_iter().map(|&k| Place::of(&frames[k])).collect();
         let mut leave = |found: Vec<LeftOut>, sound: &mut Vec<usize>, places: &mut Vec<Place>| {
             let is_left = |k: &usize| found.binary_search_by_key(k, |one| one.place).is_ok();

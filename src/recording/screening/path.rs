@@ -5,6 +5,7 @@ use crate::geometry::Pose;
 use crate::numerics::robust::median;
 use crate::recording::Frame;
 use glam::{DMat3, DVec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -102,7 +103,7 @@ impl Place {
 }
 
 fn shape_step(a: &[f64; 8], b: &[f64; 8]) -> f64 {
-    median(&mut a.iter().zip(b).map(|(a, b)| (a - b).abs()).collect::<Vec<_>>())
+    median(&mut std::array::from_fn::<f64, 8, _>(|i| (a[i] - b[i]).abs()))
 }
 
 /// The mean shape of some frames, of those that have one.
@@ -137,7 +138,7 @@ impl Limits {
         let pose_step_mm =
             |i: usize| shortest(&mut ahead(i).map(|after| step_mm(&places[i].pose, &after.pose, radius_mm)));
         let shape_step = |i: usize| shortest(&mut ahead(i).filter_map(|after| places[i].shape_step(after)));
-        let frames = 0..places.len();
+        let frames = (0..places.len()).into_par_iter();
         Some(Self::new(
             radius_mm,
             frames.clone().filter_map(pose_step_mm).collect(),
@@ -250,10 +251,11 @@ pub(super) fn off_the_path(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> 
     }
     let Some(limits) = Limits::of(places.iter()) else { return Vec::new() };
     let jump = |a: usize, b: usize| limits.jump(&places[a], &places[b], numbers[b] - numbers[a]);
+    let goes_on: Vec<bool> = (1..places.len()).into_par_iter().map(|i| jump(i - 1, i).is_none()).collect();
     let mut runs = vec![Run { first: 0, last: 0 }];
-    for i in 1..places.len() {
+    for (i, goes_on) in (1..).zip(goes_on) {
         match runs.last_mut() {
-            Some(run) if jump(i - 1, i).is_none() => run.last = i,
+            Some(run) if goes_on => run.last = i,
             _ => runs.push(Run { first: i, last: i }),
         }
     }

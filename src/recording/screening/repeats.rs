@@ -5,6 +5,7 @@ use crate::geometry::Pose;
 use crate::numerics::robust::median;
 use crate::recording::Frame;
 use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 
 /// A source that is slower than the recorder repeats each value at most so many times …
 const MAX_SLOW_RUN: usize = 12;
@@ -117,7 +118,7 @@ pub(super) fn has_contour_noise(frames: &[&Frame]) -> bool {
         let mut changes: Vec<f64> = points.windows(4).map(third).collect();
         (points.len() >= MIN_POINTS).then(|| median(&mut changes) / median(&mut steps))
     };
-    let mut shares: Vec<f64> = frames.iter().filter_map(share).collect();
+    let mut shares: Vec<f64> = frames.par_iter().filter_map(share).collect();
     !shares.is_empty() && median(&mut shares) > CONTOUR_NOISE_SHARE
 }
 

@@ -5,6 +5,7 @@ use super::hints::{contour_centre, convention};
 use crate::recording::finding::{Finding, Findings};
 use crate::recording::summary::{MinMedianMax, min_median_max};
 use crate::recording::{Frame, Recording};
+use rayon::prelude::*;
 
 /// No step is a jump below this, mm …
 const MIN_JUMP_MM: f64 = 5.0;
@@ -107,10 +108,12 @@ fn times(frames: &[(usize, &Frame)], findings: &mut Findings) {
 
 /// Contours and paths of a size that no vessel has. Whether both have a vessel's.
 fn lengths(frames: &[&Frame], path_mm: f64, findings: &mut Findings) -> bool {
-    let radius = min_median_max(frames.iter().flat_map(|f| {
-        let centre = f.centroid_mm();
-        f.echoes_mm().filter_map(move |p| Some(p.distance(centre?)))
-    }));
+    let radii = |frame: &&Frame| -> Vec<f64> {
+        let centre = frame.centroid_mm();
+        frame.echoes_mm().filter_map(|p| Some(p.distance(centre?))).collect()
+    };
+    let radii: Vec<Vec<f64>> = frames.par_iter().map(radii).collect();
+    let radius = min_median_max(radii.into_iter().flatten());
     let Some(MinMedianMax { median: radius_mm, .. }) = radius else { return true };
     if !LUMEN_RADII_MM.contains(&radius_mm) {
         let (guess, unit) =

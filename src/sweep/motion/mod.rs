@@ -11,6 +11,7 @@ pub use cycle::Cycle;
 
 use super::errors::{self, process::Spectrum};
 use super::prepare::Prepared;
+use super::prepare::contour::Outlines;
 use super::prepare::echo::{Echo, times_s};
 use super::support::Support;
 use super::wall::engine::{WallDevice, fit, refit};
@@ -221,7 +222,7 @@ impl Estimator<'_> {
         // The axis follows the vessel without the cycles that were found before.
         for number in 0.. {
             let recording = Recording { frames: self.moved(&found.rhythms, &[0.0; PARTS]) };
-            let prepared = Prepared::of(&recording, &self.settings)?;
+            let prepared = Prepared::of(&recording, Outlines::of(&recording.frames), &self.settings)?;
             let mut echoes = prepared.echoes(&prepared.sensors());
             let (mut wall, _) =
                 fit(&prepared.grid, &mut echoes, &self.settings, &WallDevice::default(), self.checkpoint)?;

@@ -4,8 +4,10 @@ use crate::numerics::robust::median;
 use crate::recording::Frame;
 use crate::{Error, Result};
 use glam::DVec2;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
+use std::time::Instant;
 
 /// The lumen's outline in a frame, without wrong echoes and noise.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
@@ -37,6 +39,26 @@ impl Outline {
     /// Whether every ray from the centre meets the wall once, nearly.
     pub(crate) fn is_star_shaped(&self) -> bool {
         self.folded_share <= MAX_FOLDED
+    }
+}
+
+/// The outlines of the contours of some frames, `None` for those that enclose no area, and the seconds that finding them took.
+#[derive(Debug, Clone)]
+pub(crate) struct Outlines {
+    pub of_frames: Vec<Option<Outline>>,
+    pub seconds: f64,
+}
+
+impl Outlines {
+    pub fn of(frames: &[Frame]) -> Self {
+        let start = Instant::now();
+        let of_frames = frames.par_iter().map(Outline::of).collect();
+        Self { of_frames, seconds: start.elapsed().as_secs_f64() }
+    }
+
+    /// Those of some of the frames; they take no further time.
+    pub fn part(&self, frames: &[usize]) -> Self {
+        Self { of_frames: frames.iter().map(|&k| self.of_frames[k]).collect(), seconds: 0.0 }
     }
 }
 

@@ -16,12 +16,11 @@ use crate::settings::Settings;
 use crate::{Error, Result};
 use axis::Axis;
 use centreline::centreline;
-use contour::{Outline, echo_count, folded_frames};
+use contour::{Outline, Outlines, echo_count, folded_frames};
 use echo::{Echo, age, placed};
 use glam::{DVec2, DVec3};
 use grid::WallGrid;
 use noise::tangential_noise_mm;
-use rayon::prelude::*;
 use resolution::resolution;
 
 /// The axis extends beyond the centreline by this many contour radii at both ends: echoes of tilted frames lie there.
@@ -53,8 +52,8 @@ struct Course {
 }
 
 impl Course {
-    fn of(frames: &[Frame], sensor_from_probe: &Pose) -> Result<Self> {
-        let mut outlines: Vec<Option<Outline>> = frames.par_iter().map(Outline::of).collect();
+    fn of(frames: &[Frame], outlines: Outlines, sensor_from_probe: &Pose) -> Result<Self> {
+        let mut outlines = outlines.of_frames;
         let folded_frames = folded_frames(&outlines)?;
         folded_frames.iter().for_each(|&k| outlines[k] = None);
         let contour_radius_mm =
@@ -93,22 +92,27 @@ impl Axis {
         sensor_from_probe: &Pose,
         rings: impl FnOnce(f64) -> [f64; 2],
     ) -> Result<Self> {
-        let Course { contour_radius_mm, curve, .. } = Course::of(frames, sensor_from_probe)?;
+        let Course { contour_radius_mm, curve, .. } =
+            Course::of(frames, Outlines::of(frames), sensor_from_probe)?;
         let [step_mm, beyond_mm] = rings(contour_radius_mm);
         Ok(Self::along(&curve, step_mm, beyond_mm))
     }
 }
 
 impl<'a> Prepared<'a> {
-    /// Finds the axis of a recording that passes [`Recording::check`].
+    /// Finds the axis of a recording that passes [`Recording::check`] and whose contours have these outlines.
     ///
     /// # Errors
     /// Where most contours are not star-shaped, they cover no length of a vessel, or the settings ask for too many nodes.
-    pub(in crate::sweep) fn of(recording: &'a Recording, settings: &Settings) -> Result<Self> {
+    pub(in crate::sweep) fn of(
+        recording: &'a Recording,
+        outlines: Outlines,
+        settings: &Settings,
+    ) -> Result<Self> {
         let frames = &recording.frames;
         let sensor_from_probe = settings.calibration.sensor_from_probe();
         let Course { outlines, folded_frames, contour_radius_mm, curve } =
-            Course::of(frames, &sensor_from_probe)?;
+            Course::of(frames, outlines, &sensor_from_probe)?;
         let mut contours_mm: Vec<&[DVec2]> = frames.iter().map(|frame| &frame.contour_mm[..]).collect();
         folded_frames.iter().for_each(|&k| contours_mm[k] = &[]);
         let length_mm = lengths(&curve).last().copied().unwrap_or(0.0);

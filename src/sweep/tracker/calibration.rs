@@ -14,6 +14,7 @@ use crate::recording::Recording;
 use crate::settings::{Backend, Calibration, Settings};
 use crate::sweep::prepare::Prepared;
 use crate::sweep::prepare::axis::Axis;
+use crate::sweep::prepare::contour::Outlines;
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::{Corners, WallGrid};
 use crate::sweep::wall::engine::{self, WallDevice};
@@ -285,7 +286,7 @@ impl Calibrator<'_> {
     /// How far the echoes lie from a wall that is fitted to them.
     fn residuals(&self, correction: &Correction) -> Result<Residuals> {
         let (recording, settings) = correction.applied(self.recording, &self.settings, &self.velocities);
-        let prepared = Prepared::of(&recording, &settings)?;
+        let prepared = Prepared::of(&recording, Outlines::of(&recording.frames), &settings)?;
         let (echoes, wall) = self.fitted(&prepared, &settings)?;
         Ok(Residuals::of(&echoes, &wall, correction))
     }
@@ -300,7 +301,7 @@ impl Calibrator<'_> {
 
     fn linearised(&self, correction: &Correction) -> Result<Linearised> {
         let (recording, settings) = correction.applied(self.recording, &self.settings, &self.velocities);
-        let prepared = Prepared::of(&recording, &settings)?;
+        let prepared = Prepared::of(&recording, Outlines::of(&recording.frames), &settings)?;
         let Prepared { grid, axis, .. } = &prepared;
         let (echoes, wall) = self.fitted(&prepared, &settings)?;
         let residuals = Residuals::of(&echoes, &wall, correction);
