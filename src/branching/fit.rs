@@ -67,13 +67,14 @@ pub(super) fn fit(
     let fitted = |parting| -> Result<Option<(Part, Vec<NodeSupport>)>> {
         let Some(mut part) = Part::of(of_joined, parting, tubes, fits) else { return Ok(None) };
         let near = part.near(echoes);
+        let mut hits = vec![None; near.len()];
         let before = part.surface.nodes_mm.clone();
         for _ in 0..ROUNDS {
-            let seen = part.project(&near)?;
+            let seen = part.project(&near, &mut hits)?;
             part.move_nodes(&seen);
         }
         part.untangle(&before);
-        let seen = part.project(&near)?;
+        let seen = part.project(&near, &mut hits)?;
         let of_nodes = part.support(&seen, of_joined, fits);
         Ok(Some((part, of_nodes)))
     };
@@ -154,16 +155,19 @@ impl Part {
     }
 
     /// The echoes on the wall that the probe sees in their directions: not on the nearest, which across a thin wall between
-    /// two branches may be the other branch's.
-    fn project(&self, echoes: &[WorldEcho]) -> Result<Vec<Seen>> {
+    /// two branches may be the other branch's. `hits` are the triangles that the rays to the echoes met when the nodes were last
+    /// moved, and become those that they meet now.
+    fn project(&self, echoes: &[WorldEcho], hits: &mut [Option<u32>]) -> Result<Vec<Seen>> {
         let caster = RayCaster::new(&self.surface)?;
         let normals = self.surface.triangle_normals();
-        let seen = echoes.par_iter().filter_map(|echo| {
+        let seen = echoes.par_iter().zip(hits).filter_map(|(echo, hit)| {
             let ray = echo.point_mm - echo.origin_mm;
             let length_mm = ray.length();
             let direction = ray / length_mm;
             let range_mm = length_mm + CUT_OFF * self.noise_mm;
-            let (triangle, distance_mm) = caster.cast(echo.origin_mm, direction, range_mm)?;
+            let found = caster.cast_from(*hit, echo.origin_mm, direction, range_mm);
+            *hit = found.map(|(triangle, _)| triangle);
+            let (triangle, distance_mm) = found?;
             let normal = normals[triangle as usize];
             if direction.dot(normal) < LEAST_COSINE {
                 return None;

@@ -7,8 +7,8 @@ use std::f64::consts::{PI, TAU};
 /// every direction. At the thesis's noise levels 0.09 mm² of 1.09 mm².
 pub(crate) const OUT_OF_PLANE: f64 = 0.1;
 
-/// The direction `Σn` from an echo to the likeliest point of a wall with unit normal `n`, and the variance `nᵀΣn` of the
-/// echo's distance along `n`, in units of its variance within the image plane.
+/// The direction `Σn` from an echo to the likeliest point of a wall with the normal `n`, and the variance `nᵀΣn` of the
+/// echo's distance along `n`, times the length of `n`, in units of its variance within the image plane.
 ///
 /// An echo's errors have the covariance `Σ ∝ I - (1 - ε) z zᵀ`, z being the unit normal of its image plane and ε
 /// `out_of_plane`.

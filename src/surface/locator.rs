@@ -86,13 +86,29 @@ impl RayCaster {
     /// The triangle that a ray meets first and the distance to it in lengths of `direction`; `None` where that is not
     /// less than `range`.
     pub(crate) fn cast(&self, origin_mm: DVec3, direction: DVec3, range: f64) -> Option<(u32, f64)> {
-        let first = Cell::new((range, None));
+        self.cast_from(None, origin_mm, direction, range)
+    }
+
+    /// As [`RayCaster::cast`], sooner if the ray meets a triangle named before it meets most others.
+    pub(crate) fn cast_from(
+        &self,
+        likely: Option<u32>,
+        origin_mm: DVec3,
+        direction: DVec3,
+        range: f64,
+    ) -> Option<(u32, f64)> {
+        let meets = |triangle: u32| ray_meets(origin_mm, direction, self.corners_mm[triangle as usize]);
+        let likely = likely.and_then(|t| self.original.binary_search(&t).ok()).and_then(|t| {
+            let distance = meets(t as u32).filter(|distance| *distance < range)?;
+            Some((distance, Some(t as u32)))
+        });
+        let first = Cell::new(likely.unwrap_or((range, None)));
         let ray = Ray::new(self.boxes.place(origin_mm), direction * self.boxes.per_mm);
         self.boxes.tree.find_best(
-            Boxes::reach(range),
+            Boxes::reach(first.get().0),
             |node, _| ray.entry(node),
             |triangle, _| {
-                let distance = ray_meets(origin_mm, direction, self.corners_mm[triangle as usize])?;
+                let distance = meets(triangle)?;
                 if (distance, Some(triangle)) < first.get() {
                     first.set((distance, Some(triangle)));
                 }
@@ -395,4 +411,52 @@ fn every_third_bit(x: u64) -> u64 {
     let x = (x | x << 8) & 0x0300_f00f;
     let x = (x | x << 4) & 0x030c_30c3;
     (x | x << 2) & 0x0924_9249
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    /// Triangles anywhere in a cube of edge 2, each twice.
+    fn triangles(count: u32) -> Surface {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let mut coordinate = || 2.0 * rng.random::<f64>() - 1.0;
+        let nodes_mm =
+            (0..3 * count).map(|_| DVec3::from_array(std::array::from_fn(|_| coordinate()))).collect();
+        let of_node = |t: u32| [3 * t, 3 * t + 1, 3 * t + 2];
+        Surface {
+            nodes_mm,
+            triangles: (0..2 * count).map(|t| of_node(t % count)).collect(),
+            arrays: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_ray_meets_the_first_triangle_whichever_is_likely() {
+        let surface = triangles(40);
+        let caster = RayCaster::new(&surface).unwrap();
+        let mut met = 0;
+        for k in 0..60 {
+            let (sin, cos) = (f64::from(k) * 0.7).sin_cos();
+            let (origin, direction) =
+                (DVec3::new(-1.5 * cos, -1.5 * sin, 0.01 * f64::from(k)), DVec3::new(cos, sin, 0.1));
+            for range in [1.2, 4.0] {
+                let all =
+                    (0..40).filter_map(|t| Some((ray_meets(origin, direction, surface.corners_mm(t))?, t)));
+                let first = all.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|(distance, _)| *distance < range);
+                let expected = first.map(|(distance, t)| (t as u32, distance));
+                met += usize::from(expected.is_some());
+                assert_eq!(caster.cast(origin, direction, range), expected);
+                for likely in 0..41 {
+                    assert_eq!(
+                        caster.cast_from(Some(likely), origin, direction, range),
+                        expected,
+                        "{likely}"
+                    );
+                }
+            }
+        }
+        assert!(met > 30, "{met}");
+    }
 }

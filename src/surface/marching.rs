@@ -20,8 +20,9 @@ pub(crate) struct Lattice {
 
 /// How near to a lattice point, in edges, the surface may pass: triangles would shrink to nothing there.
 const LEAST: f64 = 0.02;
-/// Halvings of an edge to find where it crosses the surface.
-const HALVINGS: usize = 14;
+/// How near to the surface a crossing lies, in edges, and after so many steps it is found by halving.
+const NEAR: f64 = 1e-4;
+const SECANTS: usize = 8;
 
 impl Lattice {
     fn corner_mm(&self, corner: I64Vec3) -> DVec3 {
@@ -34,14 +35,15 @@ impl Lattice {
     }
 
     /// The surface where `field` is zero, within some cells, given each once; normals point to where it is positive.
-    /// Positions along the lattice's edges are found by bisection, so `field` needs no slope: it may be infinite.
+    /// Crossings of the lattice's edges are found by false position, or by halving where that does not get on: `field` may be
+    /// infinite.
     pub(crate) fn zero_surface(&self, cells: &[I64Vec3], field: impl Fn(DVec3) -> f64 + Sync) -> Surface {
         let corners_of = |cell: I64Vec3| (0..8).map(move |k| cell + I64Vec3::new(k & 1, k >> 1 & 1, k >> 2));
         let key = |c: &I64Vec3| c.to_array();
         let mut corners: Vec<I64Vec3> = cells.iter().copied().flat_map(corners_of).collect();
         corners.par_sort_unstable_by_key(key);
         corners.dedup();
-        let least = LEAST * self.step_mm.min_element();
+        let [least, near] = [LEAST, NEAR].map(|share| share * self.step_mm.min_element());
         let values: Vec<f64> = corners
             .par_iter()
             .map(|&corner| {
@@ -103,13 +105,11 @@ impl Lattice {
         let nodes_mm: Vec<DVec3> = edges
             .par_iter()
             .map(|&[inside, outside]| {
-                let (mut low, mut high) = (0.0, 1.0);
                 let [from, to] = [inside, outside].map(place);
-                for _ in 0..HALVINGS {
-                    let middle = 0.5 * (low + high);
-                    *(if field(from.lerp(to, middle)) < 0.0 { &mut low } else { &mut high }) = middle;
-                }
-                from.lerp(to, (0.5 * (low + high)).clamp(LEAST, 1.0 - LEAST))
+                let share = crossing([inside, outside].map(|n| values[n as usize]), near, |share| {
+                    field(from.lerp(to, share))
+                });
+                from.lerp(to, share.clamp(LEAST, 1.0 - LEAST))
             })
             .collect();
         for (triangle, outward) in triangles.iter_mut().zip(outward) {
@@ -120,6 +120,34 @@ impl Lattice {
         }
         Surface { nodes_mm, triangles, arrays: Vec::new() }
     }
+}
+
+/// Where a function that is `ends[0]` < 0 at 0 and `ends[1]` > 0 at 1 is within `near` of zero, or where it jumps.
+///
+/// The Illinois variant of false position: an end that stays twice counts half (M. Dowell, P. Jarratt, *A modified regula falsi
+/// method for computing the root of an equation*, BIT 11, 1971).
+fn crossing(ends: [f64; 2], near: f64, value: impl Fn(f64) -> f64) -> f64 {
+    let ([mut low, mut high], [mut below, mut above]) = ([0.0, 1.0], ends);
+    let mut last = 0;
+    for step in 0..64 {
+        let secant = low - below * (high - low) / (above - below);
+        let middle = 0.5 * (low + high);
+        let at = if step < SECANTS && secant > low && secant < high { secant } else { middle };
+        let found = value(at);
+        if found.abs() <= near || high - low <= NEAR {
+            return at;
+        }
+        if found < 0.0 {
+            (low, below) = (at, found);
+            above *= if last < 0 { 0.5 } else { 1.0 };
+            last = -1;
+        } else {
+            (high, above) = (at, found);
+            below *= if last > 0 { 0.5 } else { 1.0 };
+            last = 1;
+        }
+    }
+    0.5 * (low + high)
 }
 
 /// The orders in which the three axes lead from one end of a cell's diagonal to the other.
@@ -147,6 +175,30 @@ mod tests {
             (b - a).cross(c - a).dot(a.truncate().extend(0.0)) > 0.0
         };
         assert!(surface.triangles.iter().all(outward));
+    }
+
+    #[test]
+    fn crossings_of_straight_bent_and_jumping_functions_are_found_in_few_steps() {
+        let count = std::cell::Cell::new(0);
+        let found = |value: &dyn Fn(f64) -> f64| {
+            count.set(0);
+            let ends = [value(0.0), value(1.0)];
+            let at = crossing(ends, 1e-4, |x| {
+                count.set(count.get() + 1);
+                value(x)
+            });
+            (at, count.get())
+        };
+        assert_eq!(found(&|x| x - 0.25), (0.25, 1));
+        let (at, steps) = found(&|x| x * x * x - 0.1);
+        assert!((at - 0.1_f64.cbrt()).abs() < 1e-3 && steps <= 8, "{at} {steps}");
+        for place in [0.0005, 0.3, 0.9995] {
+            let jump = |x: f64| if x < place { -0.2 } else { f64::INFINITY };
+            let (at, steps) = found(&jump);
+            assert!((at - place).abs() <= 1e-4 && steps <= SECANTS + 14, "{at} {steps}");
+            let (at, steps) = found(&|x| if x < place { f64::NEG_INFINITY } else { 3.0 });
+            assert!((at - place).abs() <= 1e-4 && steps <= SECANTS + 14, "{at} {steps}");
+        }
     }
 
     #[test]

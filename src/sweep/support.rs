@@ -93,13 +93,13 @@ impl Support {
     pub(super) fn of(grid: &WallGrid, echoes: &[Echo], wall: &Wall) -> Self {
         let placed = echoes.par_iter().with_min_len(TASK).map(|echo| {
             let (ring, node) = echo.projection();
-            let squares_mm2 = echo.weight * echo.residual_mm * echo.residual_mm;
+            let squares_mm2 = f64::from(echo.weight) * echo.residual_mm * echo.residual_mm;
             (grid.corners(ring, node).nearest(), is_inlier(echo, wall.noise_mm), squares_mm2)
         });
         let placed: Vec<(usize, bool, f64)> = placed.collect();
         let mut tally = Tally::new(grid.node_count());
         for (echo, (node, on_wall, squares_mm2)) in echoes.iter().zip(placed) {
-            tally.add(node, on_wall, echo.weight, squares_mm2, echo.frame);
+            tally.add(node, on_wall, f64::from(echo.weight), squares_mm2, echo.frame);
         }
         let density = median(&mut tally.own().filter(|&n| n > 0.0).collect::<Vec<_>>()) / grid.cell_mm2();
         let statistics = tally.statistics(grid, density, wall.smoothness_mm2, 0.0);

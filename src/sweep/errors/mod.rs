@@ -540,7 +540,8 @@ impl<'a> Recorded<'a> {
 
     /// The reach of an echo, mm: `(λ/ρ)^¼` for ρ echoes per area of supported wall.
     fn reach_mm(&self, echoes: &[Echo], wall: &Wall) -> f64 {
-        let on_wall: f64 = echoes.iter().filter(|e| is_inlier(e, wall.noise_mm)).map(|e| e.weight).sum();
+        let on_wall: f64 =
+            echoes.iter().filter(|e| is_inlier(e, wall.noise_mm)).map(|e| f64::from(e.weight)).sum();
         let supported = self.supported.iter().filter(|s| **s).count().max(1);
         (wall.smoothness_mm2 * supported as f64 * self.grid.cell_mm2() / on_wall.max(1.0)).powf(0.25)
     }

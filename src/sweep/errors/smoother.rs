@@ -59,7 +59,7 @@ pub(in crate::sweep) fn linearised(grid: &WallGrid, echoes: &[Echo], wall: &Wall
         let residual = echo.residual_mm.abs();
         let is_on_wall = residual <= gate(wall.noise_mm, measured.wall_mm);
         let robust = if is_on_wall { huber_weight(wall.noise_mm, residual) } else { 0.0 };
-        let (weight, scale) = (robust * measured.weight * echo.weight, measured.weight.sqrt());
+        let (weight, scale) = (robust * measured.weight * f64::from(echo.weight), measured.weight.sqrt());
         let pull = if weight > 0.0 { weight / scale } else { 0.0 };
         let nodes = corners.nodes.map(|n| n as u32);
         let shares = corners.weights.map(|w| w as f32);

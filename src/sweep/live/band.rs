@@ -312,7 +312,7 @@ impl EchoBand {
     pub fn echoes(&self) -> impl Iterator<Item = (Echo, bool)> + '_ {
         let of_grid = |sample: &Sample| Echo {
             ring: sample.echo.ring + self.ring as f64,
-            weight: sample.weight,
+            weight: sample.weight as f32,
             ..sample.echo
         };
         self.cells.iter().flatten().map(move |sample| (of_grid(sample), sample.is_merged))

@@ -150,7 +150,7 @@ impl Fitted<'_> {
             let (_, directions) = axis.at(echo.ring, echo.theta_rad(grid.nodes), echo.radius_mm);
             let measured = model.measure(&mut echo, false);
             let scale = measured.weight.sqrt();
-            let DVec3 { x, y, z } = directions * measured.normal * (scale / measured.normal.x);
+            let DVec3 { x, y, z } = directions * measured.normal * scale;
             [x, y, z, scale * measured.wall_mm]
         };
         self.echoes.par_iter().map(effect).collect()

@@ -94,7 +94,8 @@ impl Axis {
         let (x_mm, y_mm) = (v.dot(x), v.dot(y));
         let radius_mm = v.length();
         let theta = y_mm.atan2(x_mm);
-        let (sin, cos) = theta.sin_cos();
+        let away_mm = (x_mm * x_mm + y_mm * y_mm).sqrt();
+        let (sin, cos) = if away_mm > 0.0 { (y_mm / away_mm, x_mm / away_mm) } else { (0.0, 1.0) };
         let outwards = x * cos + y * sin;
         let theta_rad = if theta < 0.0 { theta + TAU } else { theta };
         Some(Place {

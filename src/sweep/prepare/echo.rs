@@ -3,12 +3,15 @@
 use super::axis::{Axis, Place};
 use crate::geometry::Pose;
 use crate::recording::{FRAME_INTERVAL_S, Frame};
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// An echo about the axis, and its projection onto the wall.
+///
+/// Every reweighting of a fit passes over all echoes, and waits for memory. Those values that need no double precision have
+/// none, so that an echo has 64 bytes.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(in crate::sweep) struct Echo {
     /// Along the axis, in rings.
@@ -16,18 +19,18 @@ pub(in crate::sweep) struct Echo {
     /// About the axis, in nodes.
     pub node: f64,
     pub radius_mm: f64,
-    /// The image plane's normal: away from the axis, about it, along it.
-    pub image_normal: DVec3,
-    /// See [`Place::stretch`].
-    pub stretch: f64,
-    pub frame: u32,
-    /// Weight: 1, or less for an old echo.
-    pub weight: f64,
-    /// From the echo to its projection onto the wall, in rings and nodes.
-    pub shift: [f64; 2],
     /// The standardised residual: the distance to the wall along the likeliest direction, in mm of noise in that
     /// direction; positive outside the wall.
     pub residual_mm: f64,
+    /// The image plane's normal: away from the axis, about it, along it.
+    pub image_normal: Vec3,
+    /// See [`Place::stretch`].
+    pub stretch: f32,
+    /// From the echo to its projection onto the wall, in rings and nodes.
+    pub shift: [f32; 2],
+    /// Weight: 1, or less for an old echo.
+    pub weight: f32,
+    pub frame: u32,
 }
 
 impl Echo {
@@ -36,8 +39,8 @@ impl Echo {
             ring: place.ring,
             node: place.theta_rad / TAU * nodes as f64,
             radius_mm: place.radius_mm,
-            image_normal: place.directions.transpose() * image_normal,
-            stretch: place.stretch,
+            image_normal: (place.directions.transpose() * image_normal).as_vec3(),
+            stretch: place.stretch as f32,
             frame,
             weight: 1.0,
             shift: [0.0; 2],
@@ -52,7 +55,8 @@ impl Echo {
 
     /// Its projection onto the wall: ring and node.
     pub(in crate::sweep) fn projection(&self) -> (f64, f64) {
-        (self.ring + self.shift[0], self.node + self.shift[1])
+        let [rings, nodes] = self.shift.map(f64::from);
+        (self.ring + rings, self.node + nodes)
     }
 
     /// Copies the projection and the residual of another echo.
@@ -118,6 +122,6 @@ pub(in crate::sweep) fn age(echoes: &mut [Echo], frames: &[Frame], half_life_s: 
     let time = |echo: &Echo| times_s[echo.frame as usize];
     for band in echoes.chunk_by_mut(|a, b| a.ring as usize == b.ring as usize) {
         let newest = band.iter().map(time).fold(f64::NEG_INFINITY, f64::max);
-        band.iter_mut().for_each(|echo| echo.weight = ((time(echo) - newest) / half_life_s).exp2());
+        band.iter_mut().for_each(|echo| echo.weight = ((time(echo) - newest) / half_life_s).exp2() as f32);
     }
 }

@@ -151,12 +151,10 @@ impl<'a, const N: usize> Joint<'a, N> {
                 let (point, directions) = axis.at(echo.ring, echo.theta_rad(grid.nodes), echo.radius_mm);
                 let arm = point - sensors[frame].translation_mm;
                 let normal = directions * measured.normal;
-                let effects_mm =
-                    displacements(frame, point).map(|moved| normal.dot(moved) / measured.normal.x);
+                let effects_mm = displacements(frame, point).map(|moved| normal.dot(moved));
                 // A shift along the vessel hardly changes the radii; where it does, at a narrow place, frames would slide to
                 // where the wall is smoothest.
-                let across = normal - directions.z_axis * normal.dot(directions.z_axis);
-                let shift = across / measured.normal.x;
+                let shift = normal - directions.z_axis * normal.dot(directions.z_axis);
                 let turn = (arm / radius_mm).cross(shift);
                 let jacobian = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
                 let residual = echo.residual_mm.abs();
@@ -165,7 +163,7 @@ impl<'a, const N: usize> Joint<'a, N> {
                     corners: grid.corners(ring, node),
                     scale: measured.weight.sqrt(),
                     weight: if counts {
-                        huber_weight(wall.noise_mm, residual) * measured.weight * echo.weight
+                        huber_weight(wall.noise_mm, residual) * measured.weight * f64::from(echo.weight)
                     } else {
                         0.0
                     },

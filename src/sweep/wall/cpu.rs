@@ -37,7 +37,8 @@ impl<'a> CpuWallEngine<'a> {
                         continue;
                     }
                     let corners = grid.corners(ring, node);
-                    let weight = huber_weight(wall.noise_mm, residual) * measured.weight * echo.weight;
+                    let weight =
+                        huber_weight(wall.noise_mm, residual) * measured.weight * f64::from(echo.weight);
                     sums.add(&corners, weight, measured.wall_mm + measured.radial_mm);
                 }
                 sums

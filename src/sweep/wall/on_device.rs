@@ -17,13 +17,13 @@ impl Echo {
             node: node as u32,
             node_part: (around - node) as f32,
             rise: (self.radius_mm - start_mm) as f32,
-            step: (grid.step_mm * self.stretch) as f32,
-            normal: self.image_normal.as_vec3().to_array(),
+            step: (grid.step_mm * f64::from(self.stretch)) as f32,
+            normal: self.image_normal.to_array(),
         }
     }
 
     /// Takes the results of a device: the projection, in rings and nodes from the echo, and the residual, mm.
-    pub(in crate::sweep) fn set_residual(&mut self, shift: [f64; 2], residual_mm: f64) {
+    pub(in crate::sweep) fn set_residual(&mut self, shift: [f32; 2], residual_mm: f64) {
         (self.shift, self.residual_mm) = (shift, residual_mm);
     }
 }

@@ -36,7 +36,7 @@ pub(in crate::sweep) struct Measured {
     pub weight: f64,
     /// The current radius there, mm.
     pub wall_mm: f64,
-    /// The wall's unit normal there: away from the axis, about it, along it.
+    /// The wall's normal there, away from the axis, about it and along it, so long that its part away from the axis is 1.
     pub normal: DVec3,
 }
 
@@ -52,9 +52,9 @@ impl<'a> ResidualModel<'a> {
 
     /// Evaluates an echo's residual on the triangle at its projection, and with `project` moves the projection.
     ///
-    /// With n the wall's normal, from its slopes over the [reach of the noise](WallGrid::slope_reach), Σ the covariance of the
-    /// echo's errors and d the vector from the projection to the echo, the likeliest point of the wall lies along `Σn`
-    /// ([`likeliest_direction`]), and the standardised residual is `nᵀd / √(nᵀΣn)`. Along the radius instead, an echo that
+    /// With n the wall's normal, of any length, from its slopes over the [reach of the noise](WallGrid::slope_reach), Σ the
+    /// covariance of the echo's errors and d the vector from the projection to the echo, the likeliest point of the wall lies
+    /// along `Σn` ([`likeliest_direction`]), and the standardised residual is `nᵀd / √(nᵀΣn)`. Along the radius instead, an echo that
     /// noise moved outwards along a tilted plane would be compared with the wall farther along the axis: where a catheter
     /// rests tilted, that lifts the wall by as much as the noise.
     pub(in crate::sweep) fn measure(&self, echo: &mut Echo, project: bool) -> Measured {
@@ -66,19 +66,22 @@ impl<'a> ResidualModel<'a> {
         let wall = r0 * w0 + r1 * w1 + r2 * w2;
         let [per_node, per_ring] = grid.slopes(&corners, radii, reach);
         let arc = TAU / grid.nodes as f64 * wall;
-        let step = grid.step_mm * echo.stretch;
-        let normal = DVec3::new(1.0, -per_node / arc, -per_ring / step).normalize();
-        let from_projection = DVec3::new(echo.radius_mm - wall, -echo.shift[1] * arc, -echo.shift[0] * step);
-        let (likeliest, variance) = likeliest_direction(normal, echo.image_normal, out_of_plane);
-        let across = normal.dot(from_projection);
-        echo.residual_mm = across / variance.sqrt();
+        let step = grid.step_mm * f64::from(echo.stretch);
+        let [per_arc, per_step] = [arc.recip(), step.recip()];
+        let [rings, nodes] = echo.shift.map(f64::from);
+        let normal = DVec3::new(1.0, -per_node * per_arc, -per_ring * per_step);
+        let from_projection = DVec3::new(echo.radius_mm - wall, -nodes * arc, -rings * step);
+        let (likeliest, variance) = likeliest_direction(normal, echo.image_normal.as_dvec3(), out_of_plane);
+        let weight = variance.recip();
+        let radial_mm = normal.dot(from_projection);
+        echo.residual_mm = radial_mm * weight.sqrt();
         if project {
-            let share = (MAX_PROJECTION_SDS * noise / echo.residual_mm.abs().max(f64::MIN_POSITIVE)).min(1.0);
-            let shift = likeliest * (-across / variance * share);
-            echo.shift = [shift.z / step, shift.y / arc];
+            let (size_mm, most_mm) = (echo.residual_mm.abs(), MAX_PROJECTION_SDS * noise);
+            let share = if size_mm > most_mm { most_mm / size_mm } else { 1.0 };
+            let shift = likeliest * (-radial_mm * weight * share);
+            echo.shift = [(shift.z * per_step) as f32, (shift.y * per_arc) as f32];
         }
-        let weight = normal.x * normal.x / variance;
-        Measured { radial_mm: across / normal.x, weight, wall_mm: wall, normal }
+        Measured { radial_mm, weight, wall_mm: wall, normal }
     }
 
     /// Evaluates the residuals of all echoes, and with `project` moves their projections.
@@ -96,7 +99,7 @@ impl<'a> ResidualModel<'a> {
 pub(in crate::sweep) fn measure_on_tube(echo: &mut Echo) -> Measured {
     echo.shift = [0.0; 2];
     echo.residual_mm = 0.0;
-    let tilt = echo.image_normal.x;
+    let tilt = f64::from(echo.image_normal.x);
     let weight = (1.0 - (1.0 - OUT_OF_PLANE) * tilt * tilt).recip();
     Measured { radial_mm: 0.0, weight, wall_mm: echo.radius_mm, normal: DVec3::X }
 }

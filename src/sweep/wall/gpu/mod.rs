@@ -306,7 +306,7 @@ impl WallEngine for OnDevice<'_> {
                         {
                             let shift: [f32; 2] = bytemuck::pod_read_unaligned(shift);
                             let residual: f32 = bytemuck::pod_read_unaligned(residual);
-                            echo.set_residual(shift.map(f64::from), f64::from(residual));
+                            echo.set_residual(shift, f64::from(residual));
                         }
                     });
                 }
