@@ -23,15 +23,17 @@ pub(crate) fn likeliest_direction(normal: DVec3, image_normal: DVec3, out_of_pla
 /// A probe looks along rays at even angles, and so do points that were drawn on its image, piece by piece. Second
 /// differences of the angle therefore show the noise across the rays alone, with six times its variance.
 pub(crate) fn angle_jumps_mm(contour_mm: &[DVec2]) -> impl Iterator<Item = f64> + '_ {
-    contour_mm.windows(3).filter_map(|triple| {
-        let [a, b, c] = [triple[0], triple[1], triple[2]];
-        if a.is_nan() || b.is_nan() || c.is_nan() {
-            return None;
-        }
-        let turn = |d: f64| (d + PI).rem_euclid(TAU) - PI;
-        let [a, b_angle, c] = [a, b, c].map(|p| p.y.atan2(p.x));
-        Some((turn(c - b_angle) - turn(b_angle - a)).abs() * b.length())
-    })
+    let turn = |d: f64| (d + PI).rem_euclid(TAU) - PI;
+    // The turn to the point before, and that point's angle; NaN at a missing echo, and so are the jumps about it.
+    let mut before = [f64::NAN, contour_mm.first().map_or(f64::NAN, |p| p.y.atan2(p.x))];
+    let jump = move |(here, next): (&DVec2, &DVec2)| {
+        let angle = next.y.atan2(next.x);
+        let turned = turn(angle - before[1]);
+        let jump_mm = (turned - before[0]).abs() * here.length();
+        before = [turned, angle];
+        (!jump_mm.is_nan()).then_some(jump_mm)
+    };
+    contour_mm.iter().zip(contour_mm.iter().skip(1)).filter_map(jump)
 }
 
 /// Variance of [`angle_jumps_mm`] in units of the variance of the noise across the rays.

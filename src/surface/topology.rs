@@ -2,6 +2,7 @@
 
 use super::Surface;
 use glam::DVec3;
+use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::HashMap;
 
@@ -53,8 +54,22 @@ impl Topology {
     }
 }
 
-/// An edge of a triangle: its nodes in ascending order and whether the triangle runs along it that way.
-type DirectedEdge = (u32, u32, bool);
+/// An edge of a triangle. Corner k of triangle t has the number 3 t + k.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Edge {
+    /// In ascending order.
+    nodes: [u32; 2],
+    /// The triangle's corners there.
+    corners: [u32; 2],
+}
+
+impl Edge {
+    /// Whether the triangle runs along it from the lower node to the higher.
+    fn is_upwards(&self) -> bool {
+        let [from, to] = self.corners;
+        (from + 1) % 3 == to % 3
+    }
+}
 
 impl Surface {
     /// How its triangles are connected.
@@ -67,28 +82,38 @@ impl Surface {
 
         let mut sorted = whole.clone();
         sorted.iter_mut().for_each(|t| t.sort_unstable());
-        sorted.sort_unstable();
+        sorted.par_sort_unstable();
         topology.duplicate_triangles = sorted.windows(2).filter(|pair| pair[0] == pair[1]).count();
 
-        let mut parts = Groups::new(self.nodes_mm.len());
-        let mut openings = Groups::new(self.nodes_mm.len());
-        let edges = directed_edges(&whole);
-        for edge in edges.chunk_by(|p, q| (p.0, p.1) == (q.0, q.1)) {
-            topology.edges += 1;
-            parts.join(edge[0].0, edge[0].1);
-            match edge {
-                [only] => {
-                    topology.boundary_edges += 1;
-                    openings.join(only.0, only.1);
+        let edges = edges(&whole);
+        let split = || {
+            let mut fans = fans(whole.len(), &edges);
+            let is_split =
+                |node: &&Vec<u32>| node.iter().any(|&corner| fans.root(corner) != fans.root(node[0]));
+            corners_of_nodes(self.nodes_mm.len(), &whole).iter().filter(is_split).count()
+        };
+        let count = || {
+            let mut parts = Groups::new(self.nodes_mm.len());
+            let mut openings = Groups::new(self.nodes_mm.len());
+            for edge in edges.chunk_by(|p, q| p.nodes == q.nodes) {
+                topology.edges += 1;
+                let [a, b] = edge[0].nodes;
+                parts.join(a, b);
+                match edge {
+                    [_] => {
+                        topology.boundary_edges += 1;
+                        openings.join(a, b);
+                    }
+                    [p, q] => {
+                        topology.inconsistent_edges += usize::from(p.is_upwards() == q.is_upwards());
+                    }
+                    _ => topology.non_manifold_edges += 1,
                 }
-                [p, q] => topology.inconsistent_edges += usize::from(p.2 == q.2),
-                _ => topology.non_manifold_edges += 1,
             }
-        }
-        let mut fans = fans(&whole);
-        let is_split = |node: &&Vec<u32>| node.iter().any(|&corner| fans.root(corner) != fans.root(node[0]));
-        topology.non_manifold_nodes =
-            corners_of_nodes(self.nodes_mm.len(), &whole).iter().filter(is_split).count();
+            (parts, openings)
+        };
+        let ((parts, openings), split) = rayon::join(count, split);
+        topology.non_manifold_nodes = split;
         topology.nodes = parts.members();
         topology.components = parts.count();
         topology.boundary_loops = openings.count();
@@ -100,9 +125,9 @@ impl Surface {
     /// The edges of one triangle only, each in ascending node order.
     pub fn boundary_edges(&self) -> Vec<[u32; 2]> {
         let whole: Vec<[u32; 3]> = self.triangles.iter().copied().filter(|&t| has_three_nodes(t)).collect();
-        let edges = directed_edges(&whole);
-        let groups = edges.chunk_by(|p, q| (p.0, p.1) == (q.0, q.1));
-        groups.filter(|edge| edge.len() == 1).map(|edge| [edge[0].0, edge[0].1]).collect()
+        let edges = edges(&whole);
+        let groups = edges.chunk_by(|p, q| p.nodes == q.nodes);
+        groups.filter(|edge| edge.len() == 1).map(|edge| edge[0].nodes).collect()
     }
 
     /// Of each node: the first one in its place.
@@ -127,7 +152,7 @@ impl Surface {
     /// part keeps the node, the others' are added behind all nodes.
     #[must_use]
     pub(crate) fn with_touching_parts_split(mut self) -> Self {
-        let mut fans = fans(&self.triangles);
+        let mut fans = fans(self.triangles.len(), &edges(&self.triangles));
         for (node, corners) in corners_of_nodes(self.nodes_mm.len(), &self.triangles).iter().enumerate() {
             let mut added: Vec<(u32, u32)> = Vec::new();
             for &corner in corners {
@@ -188,7 +213,7 @@ impl Surface {
             corners
         };
         let mut keyed: Vec<([u32; 3], u32)> = self.triangles.iter().map(key).zip(0..).collect();
-        keyed.sort_unstable();
+        keyed.par_sort_unstable();
         keyed.dedup_by_key(|(corners, _)| *corners);
         let mut distinct: Vec<u32> = keyed.into_iter().map(|(_, triangle)| triangle).collect();
         distinct.sort_unstable();
@@ -197,7 +222,7 @@ impl Surface {
 
     /// The area of each triangle, mm².
     pub fn triangle_areas_mm2(&self) -> Vec<f64> {
-        (0..self.triangles.len()).map(|t| area(self.corners_mm(t))).collect()
+        (0..self.triangles.len()).into_par_iter().map(|t| area(self.corners_mm(t))).collect()
     }
 
     /// Its whole area, mm².
@@ -222,7 +247,7 @@ impl Surface {
             let corners @ [a, b, c] = self.corners_mm(t);
             if has_no_area(corners) { DVec3::ZERO } else { (b - a).cross(c - a).normalize_or_zero() }
         };
-        (0..self.triangles.len()).map(normal).collect()
+        (0..self.triangles.len()).into_par_iter().map(normal).collect()
     }
 
     /// The unit normal at each node: its triangles' normals, each weighted by its angle there (the pseudo-normal of
@@ -230,15 +255,17 @@ impl Surface {
     /// cancel or there are none.
     pub fn node_normals(&self) -> Vec<DVec3> {
         let mut normals = vec![DVec3::ZERO; self.nodes_mm.len()];
-        for (t, normal) in self.triangle_normals().into_iter().enumerate() {
-            if normal == DVec3::ZERO {
-                continue;
-            }
+        let weighted = |(t, normal): (usize, DVec3)| -> [DVec3; 3] {
             let corners = self.corners_mm(t);
-            for (k, &node) in self.triangles[t].iter().enumerate() {
+            std::array::from_fn(|k| {
                 let [at, next, last] = [corners[k], corners[(k + 1) % 3], corners[(k + 2) % 3]];
-                normals[node as usize] += normal * (next - at).angle_between(last - at);
-            }
+                if normal == DVec3::ZERO { normal } else { normal * (next - at).angle_between(last - at) }
+            })
+        };
+        let weighted: Vec<[DVec3; 3]> =
+            self.triangle_normals().into_par_iter().enumerate().map(weighted).collect();
+        for (nodes, weighted) in self.triangles.iter().zip(weighted) {
+            nodes.iter().zip(weighted).for_each(|(&node, normal)| normals[node as usize] += normal);
         }
         normals.into_iter().map(DVec3::normalize_or_zero).collect()
     }
@@ -257,31 +284,30 @@ fn has_three_nodes([a, b, c]: [u32; 3]) -> bool {
     a != b && b != c && c != a
 }
 
-/// All edges, sorted, so that those of neighbours follow each other.
-fn directed_edges(triangles: &[[u32; 3]]) -> Vec<DirectedEdge> {
-    let edge = |a: u32, b: u32| (a.min(b), a.max(b), a < b);
-    let mut edges: Vec<_> =
-        triangles.iter().flat_map(|&[a, b, c]| [edge(a, b), edge(b, c), edge(c, a)]).collect();
-    edges.sort_unstable();
+/// All edges of triangles, sorted, so that those of neighbours follow each other.
+fn edges(triangles: &[[u32; 3]]) -> Vec<Edge> {
+    let of_triangle = |(t, nodes): (usize, &[u32; 3])| -> [Edge; 3] {
+        std::array::from_fn(|k| {
+            let next = (k + 1) % 3;
+            let ([a, b], [p, q]) = ([nodes[k], nodes[next]], [k, next].map(|k| (3 * t + k) as u32));
+            if a < b {
+                Edge { nodes: [a, b], corners: [p, q] }
+            } else {
+                Edge { nodes: [b, a], corners: [q, p] }
+            }
+        })
+    };
+    let mut edges: Vec<Edge> = triangles.iter().enumerate().flat_map(of_triangle).collect();
+    edges.par_sort_unstable();
     edges
 }
 
-/// The corners of triangles, corner k of triangle t being 3 t + k, in groups that edges of the surface connect about a node.
-fn fans(triangles: &[[u32; 3]]) -> Groups {
-    let edge = |from: usize, k: usize, [a, b]: [u32; 2]| {
-        let [p, q] = [k, (k + 1) % 3].map(|k| (3 * from + k) as u32);
-        if a < b { ([a, b], [p, q]) } else { ([b, a], [q, p]) }
-    };
-    let mut edges: Vec<([u32; 2], [u32; 2])> = triangles
-        .iter()
-        .enumerate()
-        .flat_map(|(t, &[a, b, c])| [edge(t, 0, [a, b]), edge(t, 1, [b, c]), edge(t, 2, [c, a])])
-        .collect();
-    edges.sort_unstable();
-    let mut fans = Groups::new(3 * triangles.len());
-    for pair in edges.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
-        fans.join(pair[0].1[0], pair[1].1[0]);
-        fans.join(pair[0].1[1], pair[1].1[1]);
+/// The corners of so many triangles, in groups that the edges of a surface connect about a node.
+fn fans(triangles: usize, edges: &[Edge]) -> Groups {
+    let mut fans = Groups::new(3 * triangles);
+    for pair in edges.windows(2).filter(|pair| pair[0].nodes == pair[1].nodes) {
+        fans.join(pair[0].corners[0], pair[1].corners[0]);
+        fans.join(pair[0].corners[1], pair[1].corners[1]);
     }
     fans
 }

@@ -5,7 +5,7 @@ use crate::recording::Frame;
 use glam::DVec2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 use std::fmt;
 
 /// Arcs at a constant distance from the probe, which are reverberations of the catheter (ring-down), not wall.
@@ -185,15 +185,19 @@ pub(super) fn sorted(frame: &Frame) -> Option<Vec<DVec2>> {
     }
     let middle = |of: fn(&DVec2) -> f64| median(&mut points.iter().map(of).collect::<Vec<_>>());
     let centre = DVec2::new(middle(|p| p.x), middle(|p| p.y));
-    let angles: Vec<f64> = points.iter().map(|p| (p.y - centre.y).atan2(p.x - centre.x)).collect();
-    let turn = |d: f64| (d + PI).rem_euclid(TAU) - PI;
     let count = points.len();
-    let turn_to = |i: usize, apart: usize| turn(angles[(i + apart) % count] - angles[i]);
-    let mean_sine = (0..count).map(|i| turn_to(i, count / 4).sin()).sum::<f64>() / count as f64;
-    let mut sizes: Vec<f64> = (0..count).map(|i| turn_to(i, 1).abs()).collect();
-    if mean_sine.abs() >= MIN_MEAN_SINE || median(&mut sizes) <= MAX_EVEN_ANGLES * TAU / count as f64 {
+    let directions: Vec<DVec2> = points.iter().map(|p| (p - centre).normalize_or(DVec2::X)).collect();
+    let sine = |i: usize| directions[i].perp_dot(directions[(i + count / 4) % count]);
+    let mean_sine = (0..count).map(sine).sum::<f64>() / count as f64;
+    if mean_sine.abs() >= MIN_MEAN_SINE {
         return None;
     }
+    let mut turns: Vec<f64> =
+        (0..count).map(|i| directions[i].angle_to(directions[(i + 1) % count]).abs()).collect();
+    if median(&mut turns) <= MAX_EVEN_ANGLES * TAU / count as f64 {
+        return None;
+    }
+    let angles: Vec<f64> = directions.iter().map(|d| d.to_angle()).collect();
     let mut order: Vec<usize> = (0..count).collect();
     order.sort_by(|&a, &b| angles[a].total_cmp(&angles[b]));
     let mut sorted: Vec<DVec2> = order.into_iter().map(|i| points[i]).collect();

@@ -63,7 +63,7 @@ pub(super) fn convention(frames: &[&Frame]) -> Option<Finding> {
             "--quaternion wxyz --inverse",
         ),
     ];
-    let radius = |(k, frame): (usize, &&Frame)| Some((k, Profile::of(frame)?.radius_mm));
+    let radius = |(k, frame): (usize, &&Frame)| Some((k, Profile::radius_mm(frame)?));
     let (usable, mut radii): (Vec<usize>, Vec<f64>) =
         frames.par_iter().enumerate().filter_map(radius).unzip();
     let radius_mm = median(&mut radii);
@@ -145,22 +145,33 @@ fn difference(a: &Frame, b: &Frame, radius_mm: f64) -> f64 {
 struct Profile {
     centre_mm: DVec2,
     radii_mm: [Option<f64>; DIRECTIONS],
-    radius_mm: f64,
 }
 
 impl Profile {
     fn of(frame: &Frame) -> Option<Self> {
         let centre_mm = frame.centroid_mm()?;
         let mut radii: [Vec<f64>; DIRECTIONS] = Default::default();
-        let mut all: Vec<f64> = Vec::new();
         for p in frame.echoes_mm() {
             let from_centre = p - centre_mm;
             radii[direction(from_centre)].push(from_centre.length());
-            all.push(from_centre.length());
         }
         let radii_mm = radii.map(|mut radii| (!radii.is_empty()).then(|| median(&mut radii)));
         let known = radii_mm.iter().flatten().count();
-        (known >= DIRECTIONS / 4).then(|| Self { centre_mm, radii_mm, radius_mm: median(&mut all) })
+        (known >= DIRECTIONS / 4).then_some(Self { centre_mm, radii_mm })
+    }
+
+    /// Median radius of a contour that has a profile, mm.
+    fn radius_mm(frame: &Frame) -> Option<f64> {
+        let centre_mm = frame.centroid_mm()?;
+        let mut is_known = [false; DIRECTIONS];
+        let mut radii_mm = Vec::new();
+        for p in frame.echoes_mm() {
+            let from_centre = p - centre_mm;
+            is_known[direction(from_centre)] = true;
+            radii_mm.push(from_centre.length());
+        }
+        let known = is_known.iter().filter(|is| **is).count();
+        (known >= DIRECTIONS / 4).then(|| median(&mut radii_mm))
     }
 
     fn difference_mm(&self, p: DVec2) -> Option<f64> {

@@ -1,6 +1,6 @@
 //! The fit of a wall as a linear function of the echoes' values, with the weights of its last reweighting.
 
-use super::process::{normal, random};
+use super::process::{Signs, random};
 use crate::Result;
 use crate::numerics::robust::huber_weight;
 use crate::sweep::prepare::echo::Echo;
@@ -129,17 +129,18 @@ impl<'a> Smoother<'a> {
 
     /// What the fit misses of the bends of a wall that is as rough as the smoothing assumes, mm.
     ///
-    /// With `λ ∫ bending² = Σ w (c·r)²`, such a wall has `√w c·r = √λ τ z` with independent normal z, and the fit misses
+    /// With `λ ∫ bending² = Σ w (c·r)²`, such a wall has `√w c·r = √λ τ z` with independent signs z, and the fit misses
     /// `A⁻¹ Σ w c (c·r)` of it.
     /// `rougher` has the roughness about each node in units of that, if it is not the same everywhere.
     pub(super) fn bends(&self, draw: usize, rougher: Option<&[f64]>) -> Result<Vec<f64>> {
         let mut right = vec![0.0; self.grid.node_count()];
         let mut rng = random(draw, BENDS);
+        let mut signs = Signs::of(&mut rng);
         for k in 0..self.grid.rings {
             for j in 0..self.grid.nodes {
                 let rougher = rougher.map_or(1.0, |rougher| rougher[k * self.grid.nodes + j]);
                 for (weight, nodes) in self.operator.squares(k, j) {
-                    let size = self.noise_mm * rougher * weight.sqrt() * normal(&mut rng);
+                    let size = self.noise_mm * rougher * weight.sqrt() * signs.draw();
                     for (node, coefficient) in nodes {
                         right[node] += size * coefficient;
                     }
