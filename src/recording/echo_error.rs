@@ -12,6 +12,7 @@ pub(crate) const OUT_OF_PLANE: f64 = 0.1;
 ///
 /// An echo's errors have the covariance `Σ ∝ I - (1 - ε) z zᵀ`, z being the unit normal of its image plane and ε
 /// `out_of_plane`.
+#[inline(always)]
 pub(crate) fn likeliest_direction(normal: DVec3, image_normal: DVec3, out_of_plane: f64) -> (DVec3, f64) {
     let likeliest = normal - image_normal * ((1.0 - out_of_plane) * normal.dot(image_normal));
     (likeliest, normal.dot(likeliest))

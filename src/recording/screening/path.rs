@@ -65,6 +65,8 @@ const MAX_CELL: f64 = 1e15;
 const PASS_GAP: usize = 80;
 /// Runs that a path may pass over at a time.
 const MAX_RUNS_BACK: usize = 512;
+/// Runs whose jumps are looked at side by side.
+const RUNS_AT_ONCE: usize = 256;
 
 /// What a frame is compared by.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -273,16 +275,23 @@ pub(super) fn off_the_path(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> 
     };
     // The best path that ends with each run: its worth, and the run before.
     let mut best: Vec<(f64, Option<usize>)> = Vec::with_capacity(runs.len());
-    for (b, run) in runs.iter().enumerate() {
-        let mut before = (0.0, None);
-        for a in (0..b).rev().take(MAX_RUNS_BACK) {
-            let price = between(&runs[a], run).map_or(0.0, |jump| jump.price(places.len()));
-            let worth = best[a].0 - price;
-            if worth > before.0 {
-                before = (worth, Some(a));
+    for first in (0..runs.len()).step_by(RUNS_AT_ONCE) {
+        let last = runs.len().min(first + RUNS_AT_ONCE);
+        let price =
+            |a: usize, b: usize| between(&runs[a], &runs[b]).map_or(0.0, |jump| jump.price(places.len()));
+        let prices = |b: usize| (0..b).rev().take(MAX_RUNS_BACK).map(|a| price(a, b)).collect();
+        let prices: Vec<Vec<f64>> = (first..last).into_par_iter().map(prices).collect();
+        for (b, prices) in (first..last).zip(prices) {
+            let mut before = (0.0, None);
+            for (a, price) in (0..b).rev().zip(prices) {
+                let worth = best[a].0 - price;
+                if worth > before.0 {
+                    before = (worth, Some(a));
+                }
             }
+            let run = &runs[b];
+            best.push(((run.last - run.first + 1) as f64 + before.0, before.1));
         }
-        best.push(((run.last - run.first + 1) as f64 + before.0, before.1));
     }
     let mut on_path = vec![false; runs.len()];
     let mut at = (0..runs.len()).max_by(|&a, &b| best[a].0.total_cmp(&best[b].0).then(b.cmp(&a)));

@@ -68,6 +68,7 @@ impl WallGrid {
     }
 
     /// The triangle at `ring` (0 to rings - 1) and `node` (any number; the grid is closed in that direction).
+    #[inline(always)]
     pub(in crate::sweep) fn corners(&self, ring: f64, node: f64) -> Corners {
         let below = (ring.max(0.0) as usize).min(self.rings - 2);
         let up = (ring - below as f64).clamp(0.0, 1.0);
@@ -97,7 +98,7 @@ impl WallGrid {
     }
 
     /// Slopes of the wall on the triangle of a place: per node and per ring.
-    #[inline]
+    #[inline(always)]
     pub(in crate::sweep) fn slopes(
         &self,
         corners: &Corners,
@@ -137,6 +138,7 @@ impl WallGrid {
 }
 
 /// `node.rem_euclid(nodes)`, to the bit; most nodes are at most one turn away.
+#[inline(always)]
 fn around(node: f64, nodes: f64) -> f64 {
     if (0.0..nodes).contains(&node) {
         node

@@ -57,6 +57,7 @@ impl<'a> ResidualModel<'a> {
     /// along `Σn` ([`likeliest_direction`]), and the standardised residual is `nᵀd / √(nᵀΣn)`. Along the radius instead, an echo that
     /// noise moved outwards along a tilted plane would be compared with the wall farther along the axis: where a catheter
     /// rests tilted, that lifts the wall by as much as the noise.
+    #[inline(always)]
     pub(in crate::sweep) fn measure(&self, echo: &mut Echo, project: bool) -> Measured {
         let Self { grid, radii_mm: radii, noise_mm: noise, out_of_plane, reach } = *self;
         let (ring, node) = echo.projection();
@@ -88,9 +89,14 @@ impl<'a> ResidualModel<'a> {
     pub(in crate::sweep) fn measure_all(&self, echoes: &mut [Echo], project: bool) {
         // Smaller tasks, since nothing is summed: all threads have some.
         echoes.par_chunks_mut(TASK / 8).for_each(|task| {
-            for echo in task {
-                self.measure(echo, project);
-            }
+            pulp::Arch::new().dispatch(
+                #[inline(always)]
+                || {
+                    for echo in task {
+                        self.measure(echo, project);
+                    }
+                },
+            );
         });
     }
 }
