@@ -6,7 +6,7 @@
 
 use super::tube::{Spot, Tube};
 use crate::Result;
-use crate::surface::marching::Lattice;
+use crate::surface::marching::{Crossings, Lattice};
 use crate::surface::remesh::{Patches, remeshed};
 use crate::surface::{Groups, Surface, Topology, face_triangles};
 use glam::{DVec3, I64Vec3};
@@ -347,7 +347,7 @@ impl Cut {
             .collect();
         cells.par_sort_unstable_by_key(I64Vec3::to_array);
         cells.dedup();
-        let whole = lattice.zero_surface(&cells, field);
+        let whole = lattice.zero_surface(&cells, Crossings::FalsePosition, field);
 
         // Rings within the zones, and half a ring off those that stay.
         let within = |(tube, spot): (usize, Spot)| -> f64 {

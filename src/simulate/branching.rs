@@ -1,7 +1,7 @@
 //! Walls of vessels that branch: the union of round tubes, with fillets where they meet.
 
 use crate::surface::Surface;
-use crate::surface::marching::Lattice;
+use crate::surface::marching::{Crossings, Lattice};
 use crate::{Error, Result};
 use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
@@ -74,7 +74,7 @@ pub(super) fn wall(limbs: &[Limb], low_mm: DVec3, high_mm: DVec3, edge_mm: f64) 
             distance_mm(limbs, middle).abs() < half_diagonal_mm
         })
         .collect();
-    Ok(lattice.zero_surface(&cells, |p| distance_mm(limbs, p)))
+    Ok(lattice.zero_surface(&cells, Crossings::Halved, |p| distance_mm(limbs, p)))
 }
 
 /// Refuses edges so short that the wall does not fit in memory.

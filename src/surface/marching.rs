@@ -23,6 +23,17 @@ const LEAST: f64 = 0.02;
 /// How near to the surface a crossing lies, in edges, and after so many steps it is found by halving.
 const NEAR: f64 = 1e-4;
 const SECANTS: usize = 8;
+/// Halvings of an edge where crossings are found by these alone.
+const HALVINGS: usize = 14;
+
+/// How the places are found where the surface crosses edges of the lattice.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Crossings {
+    /// By halving: simulated vessels, so that a seed makes the same recording as ever.
+    Halved,
+    /// By false position, in a third of the evaluations.
+    FalsePosition,
+}
 
 impl Lattice {
     fn corner_mm(&self, corner: I64Vec3) -> DVec3 {
@@ -35,9 +46,13 @@ impl Lattice {
     }
 
     /// The surface where `field` is zero, within some cells, given each once; normals point to where it is positive.
-    /// Crossings of the lattice's edges are found by false position, or by halving where that does not get on: `field` may be
-    /// infinite.
-    pub(crate) fn zero_surface(&self, cells: &[I64Vec3], field: impl Fn(DVec3) -> f64 + Sync) -> Surface {
+    /// `field` may be infinite: false position goes on by halving where it does not get on.
+    pub(crate) fn zero_surface(
+        &self,
+        cells: &[I64Vec3],
+        by: Crossings,
+        field: impl Fn(DVec3) -> f64 + Sync,
+    ) -> Surface {
         let corners_of = |cell: I64Vec3| (0..8).map(move |k| cell + I64Vec3::new(k & 1, k >> 1 & 1, k >> 2));
         let key = |c: &I64Vec3| c.to_array();
         let mut corners: Vec<I64Vec3> = cells.iter().copied().flat_map(corners_of).collect();
@@ -106,9 +121,13 @@ impl Lattice {
             .par_iter()
             .map(|&[inside, outside]| {
                 let [from, to] = [inside, outside].map(place);
-                let share = crossing([inside, outside].map(|n| values[n as usize]), near, |share| {
-                    field(from.lerp(to, share))
-                });
+                let value = |share: f64| field(from.lerp(to, share));
+                let share = match by {
+                    Crossings::Halved => halved(value),
+                    Crossings::FalsePosition => {
+                        false_position([inside, outside].map(|n| values[n as usize]), near, value)
+                    }
+                };
                 from.lerp(to, share.clamp(LEAST, 1.0 - LEAST))
             })
             .collect();
@@ -122,11 +141,21 @@ impl Lattice {
     }
 }
 
+/// Where a function that is negative at 0 and positive at 1 changes its sign.
+fn halved(value: impl Fn(f64) -> f64) -> f64 {
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (low + high);
+        *(if value(middle) < 0.0 { &mut low } else { &mut high }) = middle;
+    }
+    0.5 * (low + high)
+}
+
 /// Where a function that is `ends[0]` < 0 at 0 and `ends[1]` > 0 at 1 is within `near` of zero, or where it jumps.
 ///
 /// The Illinois variant of false position: an end that stays twice counts half (M. Dowell, P. Jarratt, *A modified regula falsi
 /// method for computing the root of an equation*, BIT 11, 1971).
-fn crossing(ends: [f64; 2], near: f64, value: impl Fn(f64) -> f64) -> f64 {
+fn false_position(ends: [f64; 2], near: f64, value: impl Fn(f64) -> f64) -> f64 {
     let ([mut low, mut high], [mut below, mut above]) = ([0.0, 1.0], ends);
     let mut last = 0;
     for step in 0..64 {
@@ -162,7 +191,12 @@ mod tests {
         let lattice = Lattice { origin_mm: DVec3::new(-10.0, -10.0, 0.0), step_mm: DVec3::ONE };
         let cells: Vec<I64Vec3> =
             (0..20 * 20 * 30).map(|k| I64Vec3::new(k % 20, k / 20 % 20, k / 400)).collect();
-        let surface = lattice.zero_surface(&cells, |p| p.truncate().length() - 8.0);
+        for crossings in [Crossings::Halved, Crossings::FalsePosition] {
+            check_tube(&lattice.zero_surface(&cells, crossings, |p| p.truncate().length() - 8.0));
+        }
+    }
+
+    fn check_tube(surface: &Surface) {
         let topology = surface.topology();
         assert!(topology.is_oriented_manifold());
         assert_eq!((topology.components, topology.boundary_loops, topology.euler_characteristic), (1, 2, 0));
@@ -183,7 +217,7 @@ mod tests {
         let found = |value: &dyn Fn(f64) -> f64| {
             count.set(0);
             let ends = [value(0.0), value(1.0)];
-            let at = crossing(ends, 1e-4, |x| {
+            let at = false_position(ends, 1e-4, |x| {
                 count.set(count.get() + 1);
                 value(x)
             });
@@ -204,7 +238,8 @@ mod tests {
     #[test]
     fn without_a_change_of_sign_there_is_no_surface() {
         let lattice = Lattice { origin_mm: DVec3::ZERO, step_mm: DVec3::ONE };
-        assert!(lattice.zero_surface(&[I64Vec3::ZERO], |_| f64::INFINITY).triangles.is_empty());
-        assert!(lattice.zero_surface(&[], |_| -1.0).triangles.is_empty());
+        let surface = |cells: &[I64Vec3], value| lattice.zero_surface(cells, Crossings::Halved, |_| value);
+        assert!(surface(&[I64Vec3::ZERO], f64::INFINITY).triangles.is_empty());
+        assert!(surface(&[], -1.0).triangles.is_empty());
     }
 }
