@@ -627,7 +627,8 @@ fn refined(
         return Err(no_tube("no plane across it that meets a closed outline".into()));
     };
     let closed = seen[first..=last].iter().filter(|&&s| s).count();
-    if last < first + 2 || 4 * closed < last - first {
+    // A branch may be apart over no more than a diameter: a line through two outlines is nearer to it than its slices.
+    if last < first + if is_branch { 1 } else { 2 } || 4 * closed < last - first {
         return Err(no_tube(format!("closed outlines in {closed} of {} planes across it", seen.len())));
     }
     // To the last closed outline on both sides.
