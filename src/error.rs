@@ -214,11 +214,15 @@ impl Error {
 
     /// Settings that cannot be read out of the text of a TOML file: where, and why.
     pub(crate) fn settings(path: &Path, text: &str, error: &toml::de::Error) -> Self {
-        let found = match error.span().and_then(|span| text.get(..span.start)) {
-            Some(before) => format!("line {}: {}", before.matches('\n').count() + 1, error.message()),
-            None => error.to_string().trim_end().replace('\n', " "),
+        let Some(before) = error.span().and_then(|span| text.get(..span.start)) else {
+            return Self::input(path, "settings", error.to_string().trim_end().replace('\n', " "), "TOML");
         };
-        Self::input(path, "settings", found, "settings as TOML")
+        let line = before.matches('\n').count() + 1;
+        // A value of the wrong kind says itself what was expected.
+        let (found, expected) =
+            error.message().split_once(", expected ").unwrap_or((error.message(), "TOML"));
+        let found = found.strip_prefix("found ").unwrap_or(found);
+        Self::input(path, "settings", format!("line {line}: {found}"), expected.to_owned())
     }
 
     /// An [`Error::Input`] about a whole file or variable. What comes from the file is made fit for a terminal: control

@@ -1,6 +1,6 @@
 use super::messages::MessageArguments;
 use super::reconstruct::{print_cleaning, print_engine, print_left_out};
-use super::settings::SettingsArguments;
+use super::settings::{SettingsArguments, hidden_if_not_live};
 use super::space::SpaceArgument;
 use super::{Shown, interrupt, print_json, progress, refuse_inputs};
 use crate::engine::EngineDescription;
@@ -36,6 +36,7 @@ use std::time::{Duration, Instant};
 /// Ctrl-C ends in order: mesh, snapshot and summary are written. Exit status: 0 done, 1 the work failed, 2 the
 /// usage is wrong, 3 done, but lines were skipped, 130 (or 143) ended by Ctrl-C (or by SIGTERM).
 #[derive(clap::Args)]
+#[command(mut_args = hidden_if_not_live)]
 #[command(after_help = "Examples:
   lumenmesh live pullback.mat --view --hold                          # watch it in a browser, at its own pace
   lumenmesh live pullback.mat --speed 4 -o vessel.vtp --save-every 5s --log frames.csv

@@ -1,5 +1,5 @@
 use super::live;
-use super::settings::SettingsArguments;
+use super::settings::{SettingsArguments, hidden_if_not_live};
 use super::space::SpaceArgument;
 use crate::Result;
 use std::path::PathBuf;
@@ -10,6 +10,7 @@ use std::process::ExitCode;
 /// The same as `lumenmesh live REC --speed max -o MESH`: as a program would do that shows the vessel during the
 /// intervention, every frame updates the mesh.
 #[derive(clap::Args)]
+#[command(mut_args = hidden_if_not_live)]
 #[command(after_help = "Examples:
   lumenmesh replay pullback.mat -o vessel.vtp
   lumenmesh replay pullback.mat -o vessel.vtp --method cylinders

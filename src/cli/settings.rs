@@ -7,6 +7,12 @@ use crate::settings::{
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
+/// Of a command that reconstructs live: leaves settings out of its help that are refused there.
+pub(super) fn hidden_if_not_live(argument: clap::Arg) -> clap::Arg {
+    const NOT_LIVE: [&str; 5] = ["calibrate", "correct_poses", "estimate_offset", "motion", "phase_window"];
+    if NOT_LIVE.contains(&argument.get_id().as_str()) { argument.hide(true) } else { argument }
+}
+
 /// The settings as flags, one for each; they override a settings file, which overrides the defaults.
 #[derive(clap::Args, Default)]
 #[command(next_help_heading = "Settings")]

@@ -711,3 +711,12 @@ fn the_server_answers_its_own_pages_only() {
     running.signal("-KILL");
     running.end();
 }
+
+#[test]
+fn the_help_of_live_commands_leaves_out_what_they_refuse() {
+    let help = |command: &str| lumenmesh(&[command, "--help"], Path::new(".")).1;
+    for flag in ["--calibrate", "--correct-poses", "--estimate-offset", "--motion", "--phase-window"] {
+        let is_shown = |command: &str| help(command).lines().any(|line| line.trim_start().starts_with(flag));
+        assert_eq!(["reconstruct", "live", "replay"].map(is_shown), [true, false, false], "{flag}");
+    }
+}

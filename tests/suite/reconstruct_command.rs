@@ -52,7 +52,15 @@ fn refused(folder: &Path, arguments: &[&str], status: i32, expected: &str) {
 #[test]
 fn settings_outside_their_limits_are_refused() {
     let folder = folder();
-    std::fs::write(folder.path().join("bad.toml"), "nodes = 12\nlevel = 3\n").unwrap();
+    for (name, text) in [
+        ("bad.toml", "nodes = 12\nlevel = 3\n"),
+        ("word.toml", "levels = 5\nnodes = \"many\"\n"),
+        ("choice.toml", "[sweep]\ncalibrate = \"maybe\"\n"),
+        ("later.toml", "[motion]\nshown = \"later\"\n"),
+        ("open.toml", "nodes = [3\n"),
+    ] {
+        std::fs::write(folder.path().join(name), text).unwrap();
+    }
     for (flags, expected) in [
         (&["--nodes", "2"][..], "lumenmesh: setting nodes: found 2, expected at least 3"),
         (&["--levels", "0"], "lumenmesh: setting levels: found 0, expected at least 1"),
@@ -66,7 +74,24 @@ fn settings_outside_their_limits_are_refused() {
         ),
         (
             &["--config", "bad.toml"],
-            "lumenmesh: bad.toml: settings: found line 2: unknown field `level`, expected",
+            "lumenmesh: bad.toml: settings: found line 2: unknown field `level`, expected one of `",
+        ),
+        (
+            &["--config", "word.toml"],
+            "lumenmesh: word.toml: settings: found line 2: invalid type: string \"many\", expected u32\n",
+        ),
+        (
+            &["--config", "choice.toml"],
+            "lumenmesh: choice.toml: settings: found line 2: unknown variant `maybe`, expected one of `off`, `estimate`, \
+             `apply`\n",
+        ),
+        (
+            &["--config", "later.toml"],
+            "lumenmesh: later.toml: settings: found line 2: \"later\", expected mean, or a phase from 0 to 1 in cycles\n",
+        ),
+        (
+            &["--config", "open.toml"],
+            "lumenmesh: open.toml: settings: found line 1: unclosed array, expected `]`\n",
         ),
         (&["--config", "absent.toml"], "lumenmesh: absent.toml: cannot read"),
     ] {
