@@ -24,6 +24,7 @@ pub use motion::{Cycle, Motion};
 pub(crate) use prepare::BEYOND_RADII;
 pub use prepare::axis::Axis;
 pub(crate) use prepare::contour::Outlines;
+use prepare::noise::most_tangential_mm;
 pub(crate) use prepare::noise::outward_bias_mm;
 pub use report::{SweepReport, SweepTimings};
 pub use support::Support;
@@ -165,7 +166,8 @@ impl Sweep {
             let Prepared { grid, .. } = &prepared;
             errors::estimate(grid, &times_s, &settings.sweep, &mut echoes, &mut wall, &support, &estimating)
         })?;
-        let tangential_noise_mm = prepared.tangential_noise_mm().min(wall.noise_mm);
+        let most_mm = most_tangential_mm(wall.noise_mm, prepared.contour_radius_mm);
+        let tangential_noise_mm = prepared.tangential_noise_mm().min(most_mm);
         let along_mm = along_wall_mm(tangential_noise_mm, errors.as_ref().map(|(errors, _)| errors));
         for radius in &mut wall.radii_mm {
             *radius -= outward_bias_mm(*radius, along_mm);

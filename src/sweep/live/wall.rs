@@ -8,7 +8,7 @@ use crate::recording::echo_error::angle_jumps_mm;
 use crate::settings::Settings;
 use crate::surface::Surface;
 use crate::sweep::prepare::centreline::centreline;
-use crate::sweep::prepare::noise::{TANGENTIAL_PER_JUMP, outward_bias_mm};
+use crate::sweep::prepare::noise::{TANGENTIAL_PER_JUMP, most_tangential_mm, outward_bias_mm};
 use crate::sweep::prepare::resolution::resolution;
 use crate::sweep::surface::surface;
 use crate::{Error, Result};
@@ -183,8 +183,8 @@ impl LiveWall {
     /// coincide, the one that comes first in the vessel is kept (`true` for those that come before this).
     pub fn surface(&self, rings: Range<usize>, others: &[(&Self, bool)], keep_unsupported: bool) -> Surface {
         let Some(vessel) = &self.vessel else { return Surface::default() };
-        let tangential_mm =
-            (TANGENTIAL_PER_JUMP * self.jumps.value()).min(vessel.noise_mm()).hypot(vessel.shift_mm());
+        let most_mm = most_tangential_mm(vessel.noise_mm(), vessel.grid.radius_mm());
+        let tangential_mm = (TANGENTIAL_PER_JUMP * self.jumps.value()).min(most_mm).hypot(vessel.shift_mm());
         let radius = |node: usize| {
             let radius = vessel.radii_mm[node];
             radius - outward_bias_mm(radius, tangential_mm)
