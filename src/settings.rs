@@ -142,6 +142,19 @@ pub enum Branches {
     Off,
 }
 
+/// What becomes of the shifts of single frames that a sweep finds ([`CorrectedShifts`](crate::sweep::CorrectedShifts)).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[non_exhaustive]
+pub enum FrameShifts {
+    /// Each against the frames about it, they are taken off the poses where the wall is expected to gain by it.
+    #[default]
+    Auto,
+    /// The frames stay where they are.
+    Off,
+}
+
 /// Whether a recording calibrates itself, from the wall that it shows more than once
 /// ([`SelfCalibration`](crate::sweep::SelfCalibration)).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -263,6 +276,9 @@ pub struct SweepSettings {
     /// Whether a small error of every pose is estimated together with the wall and removed. It pays where the tracker is
     /// noisier than 0.3 mm and 0.5°, or where frames are sparse, and takes several times as long.
     pub correct_poses: bool,
+    /// What becomes of the shifts of single frames. Where `correct_poses` or `even_smoothness` is set, and live, frames stay where
+    /// they are.
+    pub frame_shifts: FrameShifts,
     /// Whether smoothing is the same along the whole vessel, rather than following its roughness and the noise that
     /// neighbouring echoes share.
     pub even_smoothness: bool,
@@ -285,6 +301,7 @@ impl Default for SweepSettings {
             roughness: 0.125,
             keep_unsupported: false,
             correct_poses: false,
+            frame_shifts: FrameShifts::Auto,
             even_smoothness: false,
             estimate_offset: false,
             calibrate: Calibrate::Off,
@@ -298,6 +315,7 @@ setters!(SweepSettings {
     with_roughness => roughness: f64,
     with_keep_unsupported => keep_unsupported: bool,
     with_correct_poses => correct_poses: bool,
+    with_frame_shifts => frame_shifts: FrameShifts,
     with_even_smoothness => even_smoothness: bool,
     with_estimate_offset => estimate_offset: bool,
     with_calibrate => calibrate: Calibrate,
@@ -603,6 +621,7 @@ mod tests {
             ("gate", "[0, 2.5]"),
             ("sweep.nodes", "64"),
             ("sweep.correct_poses", "true"),
+            ("sweep.frame_shifts", "off"),
             ("sweep.even_smoothness", "true"),
             ("sweep.calibrate", "apply"),
             ("calibration.position_mm", "[1, 2.5, -3]"),
@@ -615,6 +634,7 @@ mod tests {
         let sweep = SweepSettings::default()
             .with_nodes(Some(64))
             .with_correct_poses(true)
+            .with_frame_shifts(FrameShifts::Off)
             .with_even_smoothness(true)
             .with_calibrate(Calibrate::Apply);
         let expected = Settings::default()

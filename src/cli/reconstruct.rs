@@ -388,6 +388,12 @@ fn print_errors(errors: &sweep::RecordingErrors) {
         print!("; {what} by {:.3} mm at {:.2} Hz", beat.sd_mm, beat.frequency_hz);
     }
     println!();
+    if let Some(corrected) = errors.corrected {
+        println!(
+            "           {} frames moved by {:.3} mm an axis (root mean square): their shifts against those about them",
+            corrected.frames, corrected.rms_mm
+        );
+    }
     if let Some(mm) = errors.rest_mm() {
         println!(
             "           the wall is that of the mean place; at the ends of the beat it lies {mm:.3} mm an axis beside"

@@ -2,7 +2,8 @@ use super::conventions::ConventionArguments;
 use super::numbers;
 use crate::recording::Recording;
 use crate::settings::{
-    Backend, Branches, Calibrate, Merge, Method, MotionState, Outliers, Settings, Statistic, UnfitFrames,
+    Backend, Branches, Calibrate, FrameShifts, Merge, Method, MotionState, Outliers, Settings, Statistic,
+    UnfitFrames,
 };
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -72,6 +73,10 @@ pub(super) struct SettingsArguments {
     /// Of a sweep: estimate a small error of every pose along with the wall and correct it
     #[arg(long)]
     correct_poses: bool,
+    /// Of a sweep: what becomes of the shifts of single frames against those about them; auto: correct them where the wall gains
+    /// by it [default: auto]
+    #[arg(long, value_name = "WHAT", value_enum)]
+    frame_shifts: Option<FrameShifts>,
     /// Of a sweep: smooth evenly, rather than as the vessel's roughness and its noise ask for
     #[arg(long)]
     even_smoothness: bool,
@@ -155,6 +160,7 @@ impl SettingsArguments {
         set(&mut settings.sweep.roughness, self.roughness);
         settings.sweep.keep_unsupported |= self.keep_unsupported;
         settings.sweep.correct_poses |= self.correct_poses;
+        set(&mut settings.sweep.frame_shifts, self.frame_shifts);
         settings.sweep.even_smoothness |= self.even_smoothness;
         settings.sweep.estimate_offset |= self.estimate_offset;
         set(&mut settings.sweep.calibrate, self.calibrate);
@@ -201,6 +207,7 @@ impl SettingsArguments {
             ("sweep.roughness", self.roughness.is_some()),
             ("sweep.keep_unsupported", self.keep_unsupported),
             ("sweep.correct_poses", self.correct_poses),
+            ("sweep.frame_shifts", self.frame_shifts.is_some()),
             ("sweep.even_smoothness", self.even_smoothness),
             ("sweep.estimate_offset", self.estimate_offset),
             ("sweep.calibrate", self.calibrate.is_some()),

@@ -90,6 +90,12 @@ pub(super) fn noise(page: &mut Page, sweep: &Sweep) -> Result<()> {
         for shift in &errors.shifts {
             rows.push(("shifts of whole frames", format!("{:.3} mm an axis{}", shift.sd_mm, alike(shift))));
         }
+        if let Some(corrected) = errors.corrected {
+            rows.push((
+                "shifts of single frames, corrected",
+                format!("{} frames, {:.3} mm an axis (rms)", corrected.frames, corrected.rms_mm),
+            ));
+        }
         for contour in &errors.contours {
             let width_deg = contour.width_deg.unwrap_or(0.0);
             let value = format!("{:.3} mm, alike over {width_deg:.0}°{}", contour.sd_mm, alike(contour));

@@ -17,7 +17,7 @@ mod tracker;
 pub(crate) mod wall;
 
 pub use crate::error::StageProgress;
-pub use errors::{AlikeErrors, Beat, RecordingErrors};
+pub use errors::{AlikeErrors, Beat, CorrectedShifts, RecordingErrors};
 pub(crate) use live::{LiveSweep, Step};
 pub(crate) use motion::{AtRest, StateError, at_rest};
 pub use motion::{Cycle, Motion};
@@ -37,7 +37,7 @@ pub use wall::gpu::GpuWallEngine;
 use crate::engine::EngineDescription;
 use crate::error::unless_cancelled;
 use crate::recording::Recording;
-use crate::settings::Settings;
+use crate::settings::{FrameShifts, Settings};
 use crate::surface::Surface;
 use crate::{Error, Result};
 use prepare::Prepared;
@@ -149,22 +149,27 @@ impl Sweep {
         progress("finding the axis", 0)?;
         let prepared = timed(&mut seconds.axis, || Prepared::of(recording, outlines, settings))?;
         progress("placing the echoes", 1)?;
-        let mut echoes = timed(&mut seconds.place, || prepared.echoes(&prepared.sensors()));
+        let mut sensors = prepared.sensors();
+        let mut echoes = timed(&mut seconds.place, || prepared.echoes(&sensors));
         let fitting = || progress("fitting the wall", 2);
         fitting()?;
         let (mut wall, engine) = timed(&mut seconds.fit, || fit(&prepared.grid, &mut echoes, &fitting))?;
         let correcting = || progress("correcting the poses", 3);
         correcting()?;
         let tracker = timed(&mut seconds.tracker, || {
-            Tracker::correct(&prepared, &settings.sweep, &mut echoes, &mut wall, &correcting)
+            Tracker::correct(&prepared, &settings.sweep, &mut sensors, &mut echoes, &mut wall, &correcting)
         })?;
         let estimating = || progress("estimating the errors", 4);
         estimating()?;
         let mut support = timed(&mut seconds.support, || Support::of(&prepared.grid, &echoes, &wall));
         let errors = timed(&mut seconds.errors, || {
             let times_s: Vec<Option<f64>> = prepared.frames.iter().map(|frame| frame.time_s).collect();
+            // A model of all errors of the poses leaves no shifts of single frames to correct.
+            let moves = settings.sweep.frame_shifts == FrameShifts::Auto && !settings.sweep.correct_poses;
+            let movable = moves.then_some((&prepared, &sensors[..]));
+            let frames = errors::Frames { times_s: &times_s, movable };
             let Prepared { grid, .. } = &prepared;
-            errors::estimate(grid, &times_s, &settings.sweep, &mut echoes, &mut wall, &support, &estimating)
+            errors::estimate(grid, frames, &settings.sweep, &mut echoes, &mut wall, &support, &estimating)
         })?;
         let most_mm = most_tangential_mm(wall.noise_mm, prepared.contour_radius_mm);
         let tangential_noise_mm = prepared.tangential_noise_mm().min(most_mm);

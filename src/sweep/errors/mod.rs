@@ -7,12 +7,15 @@
 //! ([`smoother`]): the fit is linear in the echoes. Levels of the kinds are those whose moments add up to the recording's.
 //! What lasts longer than the wall was seen anywhere leaves nothing in the residuals, and is in no standard error.
 //! The wall's own bends are one of the kinds; where the wall is rougher or smoother than its prior expects is found in the
-//! same way, so that smoothing can follow the vessel.
+//! same way, so that smoothing can follow the vessel. Where single frames are shifted, and the wall gains by it, their shifts
+//! are taken off the poses ([`shifts`]).
 
 mod moments;
 pub(super) mod process;
+mod shifts;
 pub(super) mod smoother;
 
+use super::prepare::Prepared;
 use super::prepare::echo::Echo;
 use super::prepare::grid::WallGrid;
 use super::support::{NodeErrors, Support};
@@ -21,6 +24,7 @@ use super::wall::engine::refit;
 use super::wall::fit::{Checkpoint, Wall};
 use super::wall::residual::is_inlier;
 use crate::Result;
+use crate::geometry::Pose;
 use crate::numerics::nonnegative::nonnegative_least_squares;
 use crate::numerics::robust::median;
 use crate::recording::FRAME_INTERVAL_S;
@@ -29,6 +33,7 @@ use moments::{Sectors, Sums};
 use process::{Process, Seen, add_draw, frequency_hz, random};
 use rayon::prelude::*;
 use serde::Serialize;
+use shifts::{ShiftEstimator, Told};
 use smoother::{Smoother, linearised};
 
 /// Errors of a recording, as far as its echoes show them.
@@ -43,6 +48,9 @@ pub struct RecordingErrors {
     pub contours: Vec<AlikeErrors>,
     /// Oscillations of the lumen's size, and of the place of whole frames.
     pub beats: Vec<Beat>,
+    /// What of the shifts was taken off the poses; `None` where the frames are left as they are.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub corrected: Option<CorrectedShifts>,
     /// For how long a place of the wall was seen, s: the median over the supported wall. Errors that are alike for longer
     /// move the wall as a whole and show in no residual, so that standard errors are without them.
     pub seen_for_s: f64,
@@ -63,6 +71,16 @@ pub struct AlikeErrors {
     pub width_deg: Option<f64>,
     /// Time over which they are forgotten, s; 0 where every frame has its own.
     pub correlation_s: f64,
+}
+
+/// Shifts of single frames, each against the frames about it, that were taken off the poses.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct CorrectedShifts {
+    /// Frames that were moved.
+    pub frames: usize,
+    /// Root mean square of the shifts along each axis across the vessel, mm.
+    pub rms_mm: f64,
 }
 
 /// An oscillation that the echoes show.
@@ -118,6 +136,8 @@ const MAX_DESIGN_EFFECT: f64 = 4.0;
 const RING_REACHES: f64 = 1.0;
 const NODE_REACHES: f64 = 3.0;
 const VARIANCE_REACHES: f64 = 2.0;
+/// Steps within which projections converge on a wall.
+const PROJECTION_STEPS: usize = 3;
 
 /// Levels of some kinds of errors: variances, mm².
 type Levels = Vec<(Process, f64)>;
@@ -170,24 +190,34 @@ impl Bends {
     }
 }
 
-/// Estimates the errors of a recording, fits the wall again with a smoothness that follows its roughness, and replaces the
-/// standard errors of the nodes. `times_s` are those of the frames, by their numbers. `None`, and no change, where there are too
-/// few echoes for it, or they are perfect.
+/// The frames that the echoes come from, by their numbers.
+#[derive(Clone, Copy)]
+pub(super) struct Frames<'a> {
+    /// When they were taken, s.
+    pub times_s: &'a [Option<f64>],
+    /// The recording, and the poses of the sensor that its echoes are placed with; `None` where frames must stay where they are.
+    pub movable: Option<(&'a Prepared<'a>, &'a [Pose])>,
+}
+
+/// Estimates the errors of a recording, fits the wall again with a smoothness that follows its roughness and without shifts of
+/// single frames, and replaces the standard errors of the nodes. `None`, and no change, where there are too few echoes for it, or
+/// they are perfect.
 pub(super) fn estimate(
     grid: &WallGrid,
-    times_s: &[Option<f64>],
+    frames: Frames,
     settings: &SweepSettings,
-    echoes: &mut [Echo],
+    echoes: &mut Vec<Echo>,
     wall: &mut Wall,
     support: &Support,
     checkpoint: &Checkpoint,
 ) -> Result<Option<(RecordingErrors, NodeErrors)>> {
     let roughness = settings.roughness;
     let perfect = wall.noise_mm.is_nan() || wall.noise_mm <= 1e-9 * grid.radius_mm();
+    let Frames { times_s, mut movable } = frames;
     if times_s.len() < MIN_FRAMES || echoes.len() < MIN_ECHOES || perfect {
         return Ok(None);
     }
-    let recording = Recorded::of(grid, times_s, echoes, &support.supported);
+    let mut recording = Recorded::of(grid, times_s, echoes, &support.supported);
     let mut estimate = recording.estimate(roughness, echoes, wall)?;
     // Without noise the grid smooths more than the echoes ask for.
     if !settings.even_smoothness && wall.noise_mm > grid.cell_noise_mm(roughness) {
@@ -195,11 +225,42 @@ pub(super) fn estimate(
         *wall = refit(grid, echoes, roughness, wall.clone(), checkpoint)?;
     } else {
         estimate.of_rings.fill(1.0);
+        movable = None;
     }
-    let of_nodes = recording.node_errors(&estimate, roughness, echoes, wall)?;
+    let mut linear = linearised(grid, echoes, wall);
+    let mut told = None;
+    let mut corrected = None;
+    if let Some((prepared, sensors)) = movable
+        && let Some(found) = recording.told_shifts(&estimate, echoes, wall)
+    {
+        let estimator = ShiftEstimator::of(&found, &recording, &prepared.axis, echoes, wall, &linear.0);
+        let smoother = Smoother::of(grid, &linear, wall.smoothness_mm2, roughness)?;
+        if found.pays(&estimator, &recording, &smoother)? {
+            let shifts_mm = estimator.shifts_mm(&clamped_residuals_mm(echoes, wall));
+            let mut sensors = sensors.to_vec();
+            for (&frame, shift_mm) in recording.frames.iter().zip(&shifts_mm) {
+                sensors[frame].translation_mm -= *shift_mm;
+            }
+            *echoes = prepared.echoes(&sensors);
+            for _ in 0..PROJECTION_STEPS {
+                wall.residual_model(grid).measure_all(echoes, true);
+            }
+            *wall = refit(grid, echoes, roughness, wall.clone(), checkpoint)?;
+            recording = Recorded::of(grid, times_s, echoes, &support.supported);
+            linear = linearised(grid, echoes, wall);
+            told = Some(ShiftEstimator::of(&found, &recording, &prepared.axis, echoes, wall, &linear.0));
+            let squares: f64 = shifts_mm.iter().map(|shift_mm| shift_mm.length_squared()).sum();
+            // Two axes lie across the vessel.
+            let rms_mm = (squares / (2 * shifts_mm.len()) as f64).sqrt();
+            corrected = Some(CorrectedShifts { frames: shifts_mm.len(), rms_mm });
+        }
+    }
+    let smoother = Smoother::of(grid, &linear, wall.smoothness_mm2, roughness)?;
+    let of_nodes = recording.node_errors(&estimate, &smoother, told.as_ref(), echoes, wall)?;
     let of_supported = estimate.of_nodes.iter().zip(&support.supported).filter(|(_, s)| **s);
     let median_ratio = median(&mut of_supported.map(|(ratio, _)| *ratio).collect::<Vec<_>>());
     let mut errors = RecordingErrors::of(&estimate.descriptions, roughness * median_ratio.sqrt());
+    errors.corrected = corrected;
     errors.seen_for_s = recording.seen_for_s(echoes, recording.reach_mm(echoes, wall));
     Ok(Some((errors, of_nodes)))
 }
@@ -207,7 +268,9 @@ pub(super) fn estimate(
 /// A recording about its grid.
 struct Recorded<'a> {
     grid: &'a WallGrid,
-    /// When the frames with echoes were taken, s.
+    /// The frames with echoes, by their numbers.
+    frames: Vec<usize>,
+    /// When they were taken, s.
     times_s: Vec<f64>,
     seen: Vec<Seen>,
     supported: &'a [bool],
@@ -217,14 +280,15 @@ impl<'a> Recorded<'a> {
     fn of(grid: &'a WallGrid, of_frames_s: &[Option<f64>], echoes: &[Echo], supported: &'a [bool]) -> Self {
         let mut has_echoes = vec![false; of_frames_s.len()];
         echoes.iter().for_each(|echo| has_echoes[echo.frame as usize] = true);
+        let frames: Vec<usize> = (0..of_frames_s.len()).filter(|&k| has_echoes[k]).collect();
         let (mut times_s, mut numbers) = (Vec::new(), vec![0; of_frames_s.len()]);
-        for k in (0..of_frames_s.len()).filter(|&k| has_echoes[k]) {
+        for &k in &frames {
             numbers[k] = times_s.len() as u32;
             let next_s = times_s.last().map_or(0.0, |before| before + FRAME_INTERVAL_S);
             times_s.push(of_frames_s[k].unwrap_or(next_s));
         }
         let seen = |echo: &Echo| Seen::new(echo.theta_rad(grid.nodes), numbers[echo.frame as usize]);
-        Self { grid, times_s, seen: echoes.par_iter().map(seen).collect(), supported }
+        Self { grid, frames, times_s, seen: echoes.par_iter().map(seen).collect(), supported }
     }
 
     /// Median over the rings with supported nodes of the time between the first and the last echo within a distance, s.
@@ -250,11 +314,15 @@ impl<'a> Recorded<'a> {
         median(&mut spans_s.collect::<Vec<_>>())
     }
 
+    /// Median time from one frame to the next, s.
+    fn interval_s(&self) -> f64 {
+        let intervals = self.times_s.windows(2).map(|t| t[1] - t[0]).filter(|d| *d > 0.0);
+        median(&mut intervals.collect::<Vec<_>>())
+    }
+
     /// Kinds that are tried where rays, frames of their own and the wall's bends do not explain the residuals.
     fn other_kinds(&self) -> Vec<Process> {
-        let mut intervals: Vec<f64> =
-            self.times_s.windows(2).map(|t| t[1] - t[0]).filter(|d| *d > 0.0).collect();
-        let interval_s = median(&mut intervals);
+        let interval_s = self.interval_s();
         let correlations = CORRELATION_FRAMES.map(|frames| frames * interval_s);
         let shifts = correlations.iter().map(|&correlation_s| Process::Shift { correlation_s });
         let contours = WIDTHS_DEG.iter().flat_map(|width_deg| {
@@ -268,8 +336,7 @@ impl<'a> Recorded<'a> {
     fn estimate(&self, roughness: f64, echoes: &[Echo], wall: &Wall) -> Result<Estimate> {
         let linearised = linearised(self.grid, echoes, wall);
         let smoother = Smoother::of(self.grid, &linearised, wall.smoothness_mm2, roughness)?;
-        let most_mm = MAX_SDS * wall.noise_mm;
-        let residuals_mm: Vec<f64> = echoes.iter().map(|e| e.residual_mm.clamp(-most_mm, most_mm)).collect();
+        let residuals_mm = clamped_residuals_mm(echoes, wall);
         let is_on_wall: Vec<bool> = echoes.iter().map(|echo| is_inlier(echo, wall.noise_mm)).collect();
         let sectors = Sectors::of(&self.seen, &is_on_wall, self.times_s.len());
         let (found_mm, bends) = rayon::join(
@@ -492,22 +559,37 @@ impl<'a> Recorded<'a> {
         errors_mm
     }
 
+    /// What the shifts of single frames are estimated from, where they can be.
+    fn told_shifts(&self, estimate: &Estimate, echoes: &[Echo], wall: &Wall) -> Option<Told> {
+        // λ of the usual ring.
+        let factor = median(&mut estimate.of_rings.iter().map(|ratio| ratio.recip()).collect::<Vec<_>>());
+        let reach_mm = self.reach_mm(echoes, wall) * factor.powf(0.25);
+        Told::of(&estimate.descriptions, self.interval_s(), reach_mm)
+    }
+
+    /// Standard errors of the nodes, from draws of the errors; `told` takes those shifts off them that it took off the echoes'.
     fn node_errors(
         &self,
         estimate: &Estimate,
-        roughness: f64,
+        smoother: &Smoother,
+        told: Option<&ShiftEstimator>,
         echoes: &[Echo],
         wall: &Wall,
     ) -> Result<NodeErrors> {
-        let linearised = linearised(self.grid, echoes, wall);
-        let smoother = Smoother::of(self.grid, &linearised, wall.smoothness_mm2, roughness)?;
         let Estimate { descriptions, of_nodes, of_rings, of_sums } = estimate;
         let fields: Vec<[Vec<f64>; 2]> = (0..VARIANCE_DRAWS)
             .into_par_iter()
             .map(|draw| {
                 let draw = ROUGHNESS_DRAWS + draw;
                 let (of_errors, of_bends) = rayon::join(
-                    || smoother.wall(self.drawn(&descriptions[draw % descriptions.len()], draw)),
+                    || {
+                        let errors_mm = self.drawn(&descriptions[draw % descriptions.len()], draw);
+                        let wall_mm = smoother.wall(errors_mm.iter().copied())?;
+                        match told {
+                            Some(told) => smoother.wall(told.without_shifts(smoother, &errors_mm, &wall_mm)),
+                            None => Ok(wall_mm),
+                        }
+                    },
                     || smoother.bends(draw, None),
                 );
                 Ok([of_errors?, of_bends?])
@@ -615,6 +697,12 @@ impl<'a> Recorded<'a> {
     }
 }
 
+/// Residuals of the echoes, of which those beyond [`MAX_SDS`] count as that many, mm.
+fn clamped_residuals_mm(echoes: &[Echo], wall: &Wall) -> Vec<f64> {
+    let most_mm = MAX_SDS * wall.noise_mm;
+    echoes.iter().map(|echo| echo.residual_mm.clamp(-most_mm, most_mm)).collect()
+}
+
 /// The places at a distance from `k` on either side, of so many.
 fn both_sides(k: usize, offset: usize, count: usize) -> impl Iterator<Item = usize> {
     let before = if offset > 0 { k.checked_sub(offset) } else { None };
@@ -659,9 +747,11 @@ fn mean(lists: impl Iterator<Item = Vec<f64>>) -> Vec<f64> {
 }
 
 impl RecordingErrors {
-    /// Standard deviation of the shifts of frames along each axis, all kinds together, mm.
+    /// Standard deviation of the shifts of frames along each axis, all kinds together and without what was corrected, mm.
     pub(super) fn shift_mm(&self) -> f64 {
-        self.shifts.iter().map(|shift| shift.sd_mm * shift.sd_mm).sum::<f64>().sqrt()
+        let variance_mm2 = self.shifts.iter().map(|shift| shift.sd_mm * shift.sd_mm).sum::<f64>();
+        let corrected_mm = self.corrected.map_or(0.0, |corrected| corrected.rms_mm);
+        (variance_mm2 - corrected_mm * corrected_mm).max(0.0).sqrt()
     }
 
     /// How far the vessel lies beside the reconstructed wall, which is that of its mean place, at the ends of the way that a

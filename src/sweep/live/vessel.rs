@@ -448,7 +448,8 @@ impl GrowingVessel {
         };
         let mut wall = refit(&self.grid, &mut echoes, self.roughness, wall, go_on)?;
         let mut support = Support::of(&self.grid, &echoes, &wall);
-        let found = errors::estimate(&self.grid, times_s, settings, &mut echoes, &mut wall, &support, go_on)?;
+        let frames = errors::Frames { times_s, movable: None };
+        let found = errors::estimate(&self.grid, frames, settings, &mut echoes, &mut wall, &support, go_on)?;
         if let Some((errors, of_nodes)) = found {
             self.shift_mm = errors.shift_mm();
             support = Support::of(&self.grid, &echoes, &wall);

@@ -230,7 +230,10 @@ impl Estimator<'_> {
             let support = Support::of(&prepared.grid, &echoes, &wall);
             errors::estimate(
                 &prepared.grid,
-                &self.clock.times_s.iter().copied().map(Some).collect::<Vec<_>>(),
+                errors::Frames {
+                    times_s: &self.clock.times_s.iter().copied().map(Some).collect::<Vec<_>>(),
+                    movable: None,
+                },
                 &self.settings.sweep,
                 &mut echoes,
                 &mut wall,

@@ -71,7 +71,8 @@ const CONTOUR_OUT_OF_PLANE: f64 = 0.02;
 const PROJECTION_STEPS: usize = 3;
 
 impl Tracker {
-    /// Estimates the errors that `settings` ask for, and corrects echoes and wall; `None` where they ask for none.
+    /// Estimates the errors that `settings` ask for, and corrects poses of the sensor, echoes and wall; `None` where they ask for
+    /// none.
     ///
     /// # Errors
     /// Where an offset is to be estimated and times are missing or do not increase, or the equations of a frame's error
@@ -79,6 +80,7 @@ impl Tracker {
     pub(in crate::sweep) fn correct(
         prepared: &Prepared,
         settings: &SweepSettings,
+        sensors: &mut Vec<Pose>,
         echoes: &mut Vec<Echo>,
         wall: &mut Wall,
         checkpoint: &Checkpoint,
@@ -88,11 +90,10 @@ impl Tracker {
         }
         let Prepared { grid, frames, .. } = prepared;
         let estimator = Estimator { prepared, roughness: settings.roughness };
-        let mut sensors = prepared.sensors();
         let mut report = Self::default();
         if settings.estimate_offset {
             let velocities = velocities(frames, VELOCITY_WINDOW_S)?;
-            let found = estimator.estimate(&sensors, Some(&velocities), echoes.clone(), wall.clone())?;
+            let found = estimator.estimate(sensors, Some(&velocities), echoes.clone(), wall.clone())?;
             let Offset { seconds, standard_error_s } = found.offset;
             report.noise_mm = found.shift_sd_mm;
             report.solver_steps += found.solver_steps;
@@ -101,14 +102,14 @@ impl Tracker {
             report.offset_corrected =
                 seconds.abs() > SIGNIFICANT * standard_error_s && seconds.abs() <= MAX_OFFSET_S;
             if report.offset_corrected {
-                sensors = moved(&sensors, &velocities, seconds);
-                *echoes = prepared.echoes(&sensors);
+                *sensors = moved(sensors, &velocities, seconds);
+                *echoes = prepared.echoes(sensors);
                 estimator.project(echoes, wall);
                 *wall = refit(grid, echoes, settings.roughness, wall.clone(), checkpoint)?;
             }
         }
         if settings.correct_poses {
-            let mut found = estimator.estimate(&sensors, None, echoes.clone(), wall.clone())?;
+            let mut found = estimator.estimate(sensors, None, echoes.clone(), wall.clone())?;
             let refitted = refit(grid, &mut found.echoes, settings.roughness, found.wall, checkpoint)?;
             let parts: Vec<_> = found.errors.iter().map(|e| split(e, grid.radius_mm())).collect();
             let rms = |of: fn(&(DVec3, DVec3)) -> f64| {
@@ -121,8 +122,11 @@ impl Tracker {
             report.poses_corrected = report.shift_mm <= MAX_SHIFT_RADII * grid.radius_mm()
                 && report.turn_deg <= MAX_TURN_DEG
                 && refitted.noise_mm <= wall.noise_mm
-                && improves_held_out(prepared, settings.roughness, &sensors, wall, checkpoint)?;
+                && improves_held_out(prepared, settings.roughness, sensors, wall, checkpoint)?;
             if report.poses_corrected {
+                let without =
+                    |(pose, error): (&mut Pose, &Twist)| *pose = corrected(pose, error, grid.radius_mm());
+                sensors.iter_mut().zip(&found.errors).for_each(without);
                 (*echoes, *wall) = (found.echoes, refitted);
             }
         }
