@@ -163,13 +163,14 @@ pub(crate) fn open_mouths_of(
     settings: &Settings,
     sweep: &mut Sweep,
 ) -> Result<Vec<Mouth>> {
-    if sweep.report.off_wall == 0 {
+    let flat = flattened(sweep);
+    if sweep.report.off_wall == 0 && !flat.iter().any(|(_, is_bulging)| *is_bulging) {
         return Ok(Vec::new());
     }
     let is_folded = |k: usize| sweep.report.folded_frames.contains(&recording.number(k));
     let echoes = WorldEchoes::of(recording, settings, |k| !is_folded(k));
     let mut whole = sweep.surface(true);
-    let mouths = open_mouths(&mut whole, flattened(sweep), &[sweep], &echoes)?;
+    let mouths = open_mouths(&mut whole, flat, &[sweep], &echoes)?;
     if let Some(supported) = whole.array("supported").filter(|_| !mouths.is_empty()) {
         let is_supported = supported.iter().map(|&is| is > 0.5);
         sweep.support.supported = is_supported.collect();
@@ -201,12 +202,14 @@ fn open_mouths(
     let surface = Surface { nodes_mm, triangles: whole.triangles.clone(), arrays: Vec::new() };
     let wall = mouths::Wall {
         surface: &surface,
+        swept_mm: &whole.nodes_mm,
         is_bulging,
         branch: whole
             .array("branch")
             .map_or_else(|| vec![0; nodes], |of| of.iter().map(|&branch| branch as usize).collect()),
         noise_mm: sweeps.iter().map(|sweep| sweep.report.noise_mm).collect(),
         radius_mm: sweeps.iter().map(|sweep| sweep.report.contour_radius_mm).collect(),
+        along_mm: sweeps.iter().map(|sweep| sweep.along_wall_mm()).collect(),
     };
     let (mouths, within): (Vec<Mouth>, Vec<Vec<u32>>) = mouths::find(&wall, echoes)?.into_iter().unzip();
     if !mouths.is_empty() {

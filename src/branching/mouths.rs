@@ -13,6 +13,7 @@ use crate::geometry::Pose;
 use crate::numerics::cholesky::{Matrix, cholesky, solve};
 use crate::numerics::robust::{huber_weight, tukey_weight};
 use crate::surface::{Groups, RayCaster, Surface};
+use crate::sweep::outward_bias_mm;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -62,8 +63,10 @@ const WINDOW_RADII: f64 = 1.2;
 const WINDOW_RAD: f64 = 1.2;
 const WINDOW_PLACES: i32 = 4;
 const WINDOW_QUANTILE: f64 = 0.4;
-/// How often the wall is continued across the mouth as it is known, and the tube fitted.
+/// How often at most the wall is continued across the mouth as it is known, and the tube fitted; and by which share of its
+/// nodes the mouth must have grown for another time.
 const ROUNDS: usize = 3;
+const LEAST_GROWTH: f64 = 0.02;
 /// Prior standard deviations of the tube's shape about a straight round one; lengths in radii.
 const BEND_SD: f64 = 0.2;
 const TAPER_SD: f64 = 0.05;
@@ -77,6 +80,26 @@ const ENOUGH: f64 = 1e-5;
 const FEW_SIGHTS: usize = 30_000;
 const MOST_SIGHTS: usize = 200_000;
 const MOST_ECHOES: usize = 8000;
+/// Echoes of the wall, and of the branch, that tell which of several directions are the likeliest, and how many of these are
+/// tried with all echoes.
+const FEW_ECHOES: usize = 800;
+const LIKELIEST: usize = 2;
+/// Branches are no tubes: how far their wall lies from one, in radii of the suspected mouth, and what that leaves open of the
+/// rim, in radii of the tube.
+const SHAPE_RADII: f64 = 0.06;
+const RIM_RADII: f64 = 0.02;
+/// Where the catheter was so far behind the flat wall, in radii of a suspect, the vessel itself is wide; and where it was so
+/// deep in a tube, in the tube's radii, it is the vessel.
+const BEHIND_RADII: [f64; 2] = [0.3, 3.0];
+const ENTERED_RADII: f64 = 1.0;
+/// Nodes that no ray meets count as those beside them, up to so many lumen radii away.
+const GAP_RADII: f64 = 0.1;
+/// Steps along edges about a suspect within which echoes beyond the wall are its own, not its neighbour's.
+const BESIDE: usize = 2;
+/// An echo is off the wall as it was swept where it lies so far beyond, in lumen radii. Of a bulge that the sweep describes
+/// fewer of the echoes are; it is a mouth if it is deeper than wide.
+const OFF_SWEPT_RADII: f64 = 0.05;
+const LEAST_OFF_SWEPT: f64 = 0.3;
 /// Groups of frames for the standard errors, and the runs of frames that are dealt out to them.
 const GROUPS: usize = 8;
 const RUNS: usize = 4 * GROUPS;
@@ -114,12 +137,16 @@ pub struct Mouth {
 pub(super) struct Wall<'a> {
     /// The whole of it, supported or not, without its bulges.
     pub surface: &'a Surface,
+    /// The places of its nodes as they were swept, bulges and all, mm.
+    pub swept_mm: &'a [DVec3],
     /// Of each node: its branch, and whether the wall bulged there.
     pub branch: Vec<usize>,
     pub is_bulging: Vec<bool>,
     /// Of each branch: the noise of its echoes, and the median radius of its contours, mm.
     pub noise_mm: Vec<f64>,
     pub radius_mm: Vec<f64>,
+    /// Of each branch: the part of the noise along the wall, mm.
+    pub along_mm: Vec<f64>,
 }
 
 /// The wall of a tube without its bulges, to which the echoes in mouths pull it: the radius of every node of its grid, mm, and
@@ -159,11 +186,14 @@ pub(super) fn find(wall: &Wall, echoes: &WorldEchoes) -> Result<Vec<(Mouth, Vec<
         return Ok(Vec::new());
     }
     let sights = sights(wall, &caster, &echoes.at_most(MOST_SIGHTS));
-    let suspects = suspects(wall, &sights, &neighbours);
-    let found: Vec<_> = suspects
-        .par_iter()
-        .map(|suspect| suspect.mouth(wall, &sights, &neighbours))
-        .collect::<Result<_>>()?;
+    let mut suspects = suspects(wall, &sights, &neighbours);
+    drop_entered(wall, &caster, &sights, &mut suspects);
+    if suspects.is_empty() {
+        return Ok(Vec::new());
+    }
+    let scene = Scene::of(wall, &sights, &neighbours, &suspects)?;
+    let found: Vec<_> =
+        (0..suspects.len()).into_par_iter().map(|number| scene.mouth(number)).collect::<Result<_>>()?;
     let mut mouths: Vec<(Mouth, Vec<u32>)> = Vec::new();
     let mut tubes: Vec<LocalTube> = Vec::new();
     for (suspect, found) in suspects.iter().zip(found) {
@@ -242,14 +272,38 @@ struct Suspect {
     outward: DVec3,
 }
 
+/// Nodes that no ray meets, as on a grid that is finer than the rays are dense, take the majority of those beside them.
+fn fill_gaps(wall: &Wall, neighbours: &[Vec<u32>], leaving: &mut [i32], mut is_met: Vec<bool>) {
+    let edge_mm = (wall.surface.area_mm2() / wall.surface.triangles.len().max(1) as f64 * 2.0).sqrt();
+    let least_mm = wall.radius_mm.iter().copied().fold(f64::INFINITY, f64::min);
+    for _ in 0..(GAP_RADII * least_mm / edge_mm) as usize {
+        let votes = |n: usize| -> Option<i32> {
+            let mut beside = neighbours[n].iter().filter(|&&k| is_met[k as usize]).peekable();
+            beside.peek()?;
+            Some(beside.map(|&k| leaving[k as usize].signum()).sum::<i32>().signum())
+        };
+        let open = (0..neighbours.len()).into_par_iter().filter(|&n| !is_met[n]);
+        let filled: Vec<(usize, i32)> = open.filter_map(|n| Some((n, votes(n)?))).collect();
+        if filled.is_empty() {
+            break;
+        }
+        for (n, vote) in filled {
+            (leaving[n], is_met[n]) = (vote, true);
+        }
+    }
+}
+
 /// The places where most rays leave the vessel, the largest first.
 fn suspects(wall: &Wall, sights: &[Sight], neighbours: &[Vec<u32>]) -> Vec<Suspect> {
     let count = wall.surface.nodes_mm.len();
     // Rays that leave, less those that do not.
     let mut leaving = vec![0_i32; count];
+    let mut is_met = vec![false; count];
     for sight in sights {
         leaving[sight.node as usize] += if sight.is_beyond(wall) { 1 } else { -1 };
+        is_met[sight.node as usize] = true;
     }
+    fill_gaps(wall, neighbours, &mut leaving, is_met);
     let about = |n: usize| leaving[n] + neighbours[n].iter().map(|&k| leaving[k as usize]).sum::<i32>();
     let is_open: Vec<bool> = (0..count).into_par_iter().map(|n| about(n) > 0).collect();
     let mut groups = Groups::new(count);
@@ -287,6 +341,31 @@ fn suspects(wall: &Wall, sights: &[Sight], neighbours: &[Vec<u32>]) -> Vec<Suspe
     suspects
 }
 
+/// Where the probe looks from, of each frame.
+fn origins(sights: &[Sight]) -> Vec<DVec3> {
+    sights.chunk_by(|a, b| a.echo.frame == b.echo.frame).map(|of| of[0].echo.origin_mm).collect()
+}
+
+/// Drops the suspects behind which the catheter was: there the lumen itself is wider than the flat wall.
+fn drop_entered(wall: &Wall, caster: &RayCaster, sights: &[Sight], suspects: &mut Vec<Suspect>) {
+    let (origins_mm, normals) = (origins(sights), wall.surface.triangle_normals());
+    suspects.retain(|suspect| {
+        let nodes: BTreeSet<u32> = suspect.nodes.iter().copied().collect();
+        let radius_mm = suspect.radius_mm();
+        let is_behind = |origin_mm: &&DVec3| {
+            let inward = -suspect.outward;
+            caster.cast(**origin_mm, inward, BEHIND_RADII[1] * radius_mm).is_some_and(
+                |(triangle, distance_mm)| {
+                    distance_mm > BEHIND_RADII[0] * radius_mm
+                        && normals[triangle as usize].dot(inward) < 0.0
+                        && wall.surface.triangles[triangle as usize].iter().any(|n| nodes.contains(n))
+                },
+            )
+        };
+        origins_mm.iter().filter(is_behind).count() < LEAST_FRAMES
+    });
+}
+
 /// The wall about a mouth, continued across it.
 struct Patch {
     surface: Surface,
@@ -299,12 +378,12 @@ fn spread(
     nodes: &BTreeSet<u32>,
     neighbours: &[Vec<u32>],
     steps: usize,
-    may: impl Fn(&u32) -> bool,
+    may: impl Fn(u32) -> bool,
 ) -> BTreeSet<u32> {
     let (mut all, mut last) = (nodes.clone(), nodes.clone());
     for _ in 0..steps {
         let next = last.iter().flat_map(|&n| neighbours[n as usize].iter().copied());
-        last = next.filter(|n| !all.contains(n) && may(n)).collect();
+        last = next.filter(|n| !all.contains(n) && may(*n)).collect();
         all.extend(&last);
     }
     all
@@ -312,16 +391,15 @@ fn spread(
 
 impl Patch {
     /// The wall about some nodes, which lie on a mouth of that radius.
-    fn about(wall: &Wall, mouth: &BTreeSet<u32>, radius_mm: f64, neighbours: &[Vec<u32>]) -> Self {
-        let (own, _) = wall.surface.part(|t| t.iter().any(|n| mouth.contains(n)));
-        let edge_mm = (own.area_mm2() / own.triangles.len().max(1) as f64 * 2.0).sqrt();
-        let steps = |radii: f64| 2 + (radii * radius_mm / edge_mm).round() as usize;
-        let bulges = |n: &u32| wall.is_bulging[*n as usize];
-        let bulging = spread(mouth, neighbours, steps(1.0), bulges);
-        let any = |_: &u32| true;
-        let open = spread(&bulging, neighbours, steps(MARGIN_RADII), any);
-        let known = spread(&open, neighbours, steps(KNOWN_RADII), any);
-        let (mut surface, nodes) = wall.surface.part(|t| t.iter().all(|n| known.contains(n)));
+    fn about(scene: &Scene, mouth: &BTreeSet<u32>, radius_mm: f64) -> Self {
+        let Scene { wall, neighbours, .. } = scene;
+        let steps = |radii: f64| scene.steps(mouth, radii * radius_mm);
+        let bulging = spread(mouth, neighbours, steps(1.0), |n| wall.is_bulging[n as usize]);
+        let open = spread(&bulging, neighbours, steps(MARGIN_RADII), |_| true);
+        let known = spread(&open, neighbours, steps(KNOWN_RADII), |_| true);
+        let mut is_known = vec![false; neighbours.len()];
+        known.iter().for_each(|&n| is_known[n as usize] = true);
+        let (mut surface, nodes) = scene.surface.part(|t| t.iter().all(|&n| is_known[n as usize]));
         let border: BTreeSet<u32> = surface.rims().into_iter().flatten().collect();
         let is_free: Vec<bool> =
             nodes.iter().zip(0..).map(|(n, local)| open.contains(n) && !border.contains(&local)).collect();
@@ -332,24 +410,33 @@ impl Patch {
 
 /// Moves the free nodes of a surface so that it bends as little as possible.
 fn continue_across(surface: &mut Surface, is_free: &[bool]) {
-    let laplacian = Laplacian::of(surface);
-    let bent = |u: &[f64]| -> Vec<f64> {
-        let curved: Vec<f64> =
-            laplacian.apply(u).iter().zip(&laplacian.area_mm2).map(|(x, area)| x / area).collect();
+    // Beyond two triangles from a free node nothing bends otherwise than before.
+    let marked = |is: &[bool]| -> Vec<bool> {
+        let mut near = is.to_vec();
+        for t in surface.triangles.iter().filter(|t| t.iter().any(|&n| is[n as usize])) {
+            t.iter().for_each(|&n| near[n as usize] = true);
+        }
+        near
+    };
+    let bends = marked(is_free);
+    let (about, original) = surface.part(|t| t.iter().any(|&n| bends[n as usize]));
+    let is_free: Vec<bool> = original.iter().map(|&n| is_free[n as usize]).collect();
+    let laplacian = Laplacian::of(&about);
+    let bent = |u: &[DVec3]| -> Vec<DVec3> {
+        let mut curved = laplacian.apply(u);
+        curved.iter_mut().zip(&laplacian.area_mm2).for_each(|(x, area)| *x /= *area);
         let mut sum = laplacian.apply(&curved);
-        sum.iter_mut().zip(is_free).filter(|(_, free)| !**free).for_each(|(x, _)| *x = 0.0);
+        sum.iter_mut().zip(&is_free).filter(|(_, free)| !**free).for_each(|(x, _)| *x = DVec3::ZERO);
         sum
     };
     let diagonal = laplacian.squared_diagonal(1.0);
-    for axis in 0..3 {
-        let right: Vec<f64> =
-            bent(&surface.nodes_mm.iter().map(|p| p[axis]).collect::<Vec<_>>()).iter().map(|x| -x).collect();
-        let shift = conjugate_gradients(&bent, &right, &diagonal);
-        surface.nodes_mm.iter_mut().zip(shift).for_each(|(p, by)| p[axis] += by);
-    }
+    let right: Vec<DVec3> = bent(&about.nodes_mm).iter().map(|x| -*x).collect();
+    let shift = conjugate_gradients(&bent, &right, &diagonal);
+    original.iter().zip(shift).for_each(|(&n, by)| surface.nodes_mm[n as usize] += by);
 }
 
 /// An echo near a mouth.
+#[derive(Debug, Clone, Copy)]
 struct Look {
     point_mm: DVec3,
     image_normal: DVec3,
@@ -358,6 +445,8 @@ struct Look {
     depth_mm: f64,
     /// Whether that is too far for an echo of the wall, its rounded edges included.
     is_beyond: bool,
+    /// Whether it is also too far from the wall as it was swept.
+    is_off_swept: bool,
     frame: u32,
     weight: f64,
 }
@@ -371,6 +460,7 @@ fn outside_mm(tube: &LocalTube, point_mm: DVec3) -> f64 {
 struct Branch<'a> {
     looks: &'a [Look],
     noise_mm: f64,
+    along_mm: f64,
     /// Radius of the suspected mouth and its centre.
     radius_mm: f64,
     centre_mm: DVec3,
@@ -386,12 +476,21 @@ struct Residual {
     gain: Change,
 }
 
-impl Branch<'_> {
+impl<'a> Branch<'a> {
+    fn of(looks: &'a [Look], wall: &Wall, suspect: &Suspect) -> Self {
+        let radius_mm = suspect.radius_mm();
+        let noise_mm = wall.noise_mm[suspect.branch].max(SHAPE_RADII * radius_mm);
+        let along_mm = wall.along_mm[suspect.branch];
+        Self { looks, noise_mm, along_mm, radius_mm, centre_mm: suspect.centre_mm }
+    }
+
     fn residual(&self, tube: &LocalTube, to_axis: &Pose, look: &Look) -> Residual {
         let (p, normal) = (to_axis.transform_point(look.point_mm), to_axis.rotation * look.image_normal);
         let residual = tube.residual_of(p, normal, 3.0 * self.noise_mm);
         let (distance_mm, variance) = match look.is_beyond {
-            true => (residual.distance_mm, residual.variance),
+            true => {
+                (residual.distance_mm - outward_bias_mm(tube.radius_mm, self.along_mm), residual.variance)
+            }
             false => ((residual.distance_mm + ON_WALL_SDS * self.noise_mm).min(0.0), 1.0),
         };
         Residual { distance_mm, variance, gain: residual.gain }
@@ -423,8 +522,8 @@ impl Branch<'_> {
         self.looks.iter().map(of_look).sum::<f64>() + self.priors(tube).into_iter().map(prior).sum::<f64>()
     }
 
-    /// The tube that fits the echoes of some frames best, from a first one on: Gauss-Newton's steps with Huber's weights.
-    fn fitted(&self, start: LocalTube, counts: &dyn Fn(u32) -> bool) -> Option<LocalTube> {
+    /// The tube that fits the echoes of some groups best, from a first one on: Gauss-Newton's steps with Huber's weights.
+    fn fitted(&self, start: LocalTube, counts: &dyn Fn(&Look) -> bool) -> Option<LocalTube> {
         // Its origin stays beside the mouth.
         let beside = |tube: LocalTube| {
             tube.moved(tube.station(tube.world_from_axis.inverse().transform_point(self.centre_mm)))
@@ -434,7 +533,7 @@ impl Branch<'_> {
                 && (0.2..5.0).contains(&(tube.radius_mm / self.radius_mm))
                 && tube.taper.abs() < 0.6
         };
-        let looks: Vec<&Look> = self.looks.iter().filter(|look| counts(look.frame)).collect();
+        let looks: Vec<&Look> = self.looks.iter().filter(|look| counts(look)).collect();
         let mut tube = Some(start).filter(is_sound)?;
         let mut damping = 1e-2;
         for _ in 0..MAX_STEPS {
@@ -533,60 +632,145 @@ impl Patch {
     }
 }
 
-impl Suspect {
-    /// The mouth with the nodes of the wall within it, if it is one.
-    fn mouth(
-        &self,
-        wall: &Wall,
-        sights: &[Sight],
-        neighbours: &[Vec<u32>],
-    ) -> Result<Option<(Mouth, Vec<u32>, LocalTube)>> {
-        let (noise_mm, lumen_mm) = (wall.noise_mm[self.branch], wall.radius_mm[self.branch]);
-        let mut open: BTreeSet<u32> = self.nodes.iter().copied().collect();
-        let own = sights.iter().filter(|sight| sight.is_beyond(wall) && open.contains(&sight.node));
-        let own: Vec<&WorldEcho> = own.map(|sight| &sight.echo).collect();
+/// What all suspects share.
+struct Scene<'a> {
+    wall: &'a Wall<'a>,
+    sights: &'a [Sight],
+    neighbours: &'a [Vec<u32>],
+    suspects: &'a [Suspect],
+    /// The wall with the bulges about the suspects made flat, and no others.
+    surface: Surface,
+    /// Of each node: the suspect that it is part of, and the one that it lies at.
+    suspect: Vec<Option<usize>>,
+    beside: Vec<Option<usize>>,
+    /// Where the probe looks from, of each frame.
+    origins_mm: Vec<DVec3>,
+    /// The wall as it was swept, bulges and all.
+    swept: RayCaster,
+    swept_normals: Vec<DVec3>,
+}
+
+impl<'a> Scene<'a> {
+    fn of(
+        wall: &'a Wall,
+        sights: &'a [Sight],
+        neighbours: &'a [Vec<u32>],
+        suspects: &'a [Suspect],
+    ) -> Result<Self> {
+        let triangles = wall.surface.triangles.clone();
+        let surface = Surface { nodes_mm: wall.swept_mm.to_vec(), triangles, arrays: Vec::new() };
+        let suspect = vec![None; neighbours.len()];
+        let (beside, origins_mm) = (suspect.clone(), origins(sights));
+        let (swept, swept_normals) = (RayCaster::new(&surface)?, surface.triangle_normals());
+        let mut scene = Self {
+            wall,
+            sights,
+            neighbours,
+            suspects,
+            surface,
+            suspect,
+            beside,
+            origins_mm,
+            swept,
+            swept_normals,
+        };
+        for (number, suspect) in suspects.iter().enumerate() {
+            let nodes: BTreeSet<u32> = suspect.nodes.iter().copied().collect();
+            nodes.iter().for_each(|&n| scene.suspect[n as usize] = Some(number));
+            let steps = scene.steps(&nodes, suspect.radius_mm());
+            for n in spread(&nodes, neighbours, steps, |n| wall.is_bulging[n as usize]) {
+                scene.surface.nodes_mm[n as usize] = wall.surface.nodes_mm[n as usize];
+            }
+        }
+        scene.beside.clone_from(&scene.suspect);
+        for _ in 0..BESIDE {
+            let of = |n: usize| {
+                scene.beside[n].or_else(|| neighbours[n].iter().find_map(|&k| scene.beside[k as usize]))
+            };
+            scene.beside = (0..neighbours.len()).into_par_iter().map(of).collect();
+        }
+        Ok(scene)
+    }
+
+    /// Steps along the edges about some nodes that lead so far.
+    fn steps(&self, nodes: &BTreeSet<u32>, distance_mm: f64) -> usize {
+        let place = |n: u32| self.wall.surface.nodes_mm[n as usize];
+        let edges = nodes.iter().flat_map(|&n| self.neighbours[n as usize].iter().map(move |&k| (n, k)));
+        let (sum_mm, count) =
+            edges.fold((0.0, 0), |(sum, count), (n, k)| (sum + place(n).distance(place(k)), count + 1));
+        2 + (distance_mm * f64::from(count.max(1)) / sum_mm.max(f64::MIN_POSITIVE)).round() as usize
+    }
+
+    /// The mouth at a suspect with the nodes of the wall within it, if it is one.
+    fn mouth(&self, number: usize) -> Result<Option<(Mouth, Vec<u32>, LocalTube)>> {
+        let (wall, suspect) = (self.wall, &self.suspects[number]);
+        let lumen_mm = wall.radius_mm[suspect.branch];
+        let radius_mm = suspect.radius_mm();
+        let own = self.sights.iter().filter(|sight| self.suspect[sight.node as usize] == Some(number));
+        let own: Vec<&WorldEcho> =
+            own.filter(|sight| sight.is_beyond(wall)).map(|sight| &sight.echo).collect();
         let frames: BTreeSet<u32> = own.iter().map(|echo| echo.frame).collect();
         if own.len() < LEAST_ECHOES || frames.len() < LEAST_FRAMES {
             return Ok(None);
         }
-        let radius_mm = (self.area_mm2 / PI).sqrt();
-        let away = own.iter().map(|echo| echo.point_mm).sum::<DVec3>() / own.len() as f64 - self.centre_mm;
-        let mut starts = self.starts(away, radius_mm);
-        let mut found = None;
+        let away = own.iter().map(|echo| echo.point_mm).sum::<DVec3>() / own.len() as f64 - suspect.centre_mm;
+        let mut open: BTreeSet<u32> = suspect.nodes.iter().copied().collect();
+        let mut found: Option<(Patch, Vec<Look>, LocalTube, Vec<u32>)> = None;
         // From the second time on the wall is continued across the mouth that was found.
         for _ in 0..ROUNDS {
-            let patch = Patch::about(wall, &open, radius_mm, neighbours);
-            let looks = looks(&patch, sights, noise_mm, lumen_mm, radius_mm)?;
-            let branch = Branch { looks: &looks, noise_mm, radius_mm, centre_mm: self.centre_mm };
-            let all = |_: u32| true;
-            let fits = starts.iter().filter_map(|start| branch.fitted(*start, &all));
-            let fits = fits.map(|tube| (tube, branch.unlikeliness(&tube)));
-            let Some((tube, _)) = fits.min_by(|a, b| a.1.total_cmp(&b.1)) else { return Ok(None) };
-            starts = vec![tube];
+            let patch = Patch::about(self, &open, radius_mm);
+            let tube = found.as_ref().map(|(_, _, tube, _)| *tube);
+            let looks = self.looks(&patch, number, tube.as_ref())?;
+            let branch = Branch::of(&looks, wall, suspect);
+            let all = |_: &Look| true;
+            let starts = tube.map_or_else(
+                || {
+                    // A part of the echoes tells which way it goes.
+                    let looks = thinned(&looks, FEW_ECHOES);
+                    let branch = Branch::of(&looks, wall, suspect);
+                    let fits =
+                        suspect.starts(away).into_par_iter().filter_map(|start| branch.fitted(start, &all));
+                    let mut fits: Vec<_> = fits.map(|tube| (branch.unlikeliness(&tube), tube)).collect();
+                    fits.sort_by(|a, b| a.0.total_cmp(&b.0));
+                    fits.into_iter().map(|(_, tube)| tube).take(LIKELIEST).collect()
+                },
+                |tube| vec![tube],
+            );
+            let fits = starts.into_iter().filter_map(|start| branch.fitted(start, &all));
+            let fits = fits.map(|tube| (branch.unlikeliness(&tube), tube));
+            let Some((_, tube)) = fits.min_by(|a, b| a.0.total_cmp(&b.0)) else {
+                return Ok(None);
+            };
             let inside = patch.surface.nodes_mm.iter().map(|p| outside_mm(&tube, *p) < 0.0);
             let inside: Vec<u32> =
                 inside.zip(&patch.nodes).filter(|(is_in, _)| *is_in).map(|(_, n)| *n).collect();
+            let before = open.len();
             open.extend(&inside);
             found = Some((patch, looks, tube, inside));
+            if ((open.len() - before) as f64) < LEAST_GROWTH * open.len() as f64 {
+                break;
+            }
         }
         let Some((patch, looks, tube, inside)) = found else { return Ok(None) };
-        let branch = Branch { looks: &looks, noise_mm, radius_mm, centre_mm: self.centre_mm };
-        let Some(Measured { area_mm2, centre_mm, rim_mm, direction }) = patch.within(&tube, self.centre_mm)
+        let branch = Branch::of(&looks, wall, suspect);
+        let Some(Measured { area_mm2, centre_mm, rim_mm, direction }) =
+            patch.within(&tube, suspect.centre_mm)
         else {
             return Ok(None);
         };
         let Some(seen) = branch.seen(&tube, centre_mm) else { return Ok(None) };
-        if tube.radius_mm > MAX_RADII * lumen_mm || direction.dot(self.outward) < 0.0 {
+        if tube.radius_mm > MAX_RADII * lumen_mm || direction.dot(suspect.outward) < 0.0 {
             return Ok(None);
         }
-        let Some(errors) = branch.errors(&patch, &tube) else {
+        if self.has_entered(&tube, centre_mm, seen.depth_mm) {
             return Ok(None);
-        };
+        }
+        let Some(errors) = branch.errors(&patch, &tube) else { return Ok(None) };
         if area_mm2 < LEAST_AREA_ERRORS * errors.area_mm2 {
             return Ok(None);
         }
         let mouth = Mouth {
-            branch: self.branch,
+            branch: suspect.branch,
             centre_mm,
             centre_standard_error_mm: errors.centre_mm,
             area_mm2,
@@ -601,8 +785,76 @@ impl Suspect {
         Ok(Some((mouth, inside, tube)))
     }
 
+    /// Whether the catheter was in a tube, deeper than its radius beyond the mouth: then it is the vessel itself.
+    fn has_entered(&self, tube: &LocalTube, mouth_mm: DVec3, depth_mm: f64) -> bool {
+        let to_axis = tube.world_from_axis.inverse();
+        let mouth_at_mm = tube.station(to_axis.transform_point(mouth_mm));
+        let is_in = |origin_mm: &&DVec3| {
+            let p = to_axis.transform_point(**origin_mm);
+            let depth = tube.station(p) - mouth_at_mm;
+            (ENTERED_RADII * tube.radius_mm..depth_mm).contains(&depth) && tube.distance_mm(p) < 0.0
+        };
+        self.origins_mm.iter().filter(is_in).count() >= LEAST_FRAMES
+    }
+
+    /// The echoes whose rays meet the continued wall of a patch, but those in other suspects, unless these lie in the tube
+    /// that is known so far.
+    fn looks(&self, patch: &Patch, number: usize, tube: Option<&LocalTube>) -> Result<Vec<Look>> {
+        let suspect = &self.suspects[number];
+        let (noise_mm, lumen_mm) = (self.wall.noise_mm[suspect.branch], self.wall.radius_mm[suspect.branch]);
+        let radius_mm = suspect.radius_mm();
+        let is_other: Vec<bool> = (0..self.suspects.len())
+            .map(|other| {
+                let is_in = |tube: &LocalTube| outside_mm(tube, self.suspects[other].centre_mm) < 0.0;
+                other != number && !tube.is_some_and(is_in)
+            })
+            .collect();
+        let mut is_near = vec![false; self.neighbours.len()];
+        patch.nodes.iter().for_each(|&n| is_near[n as usize] = true);
+        let near: Vec<&Sight> = self.sights.iter().filter(|sight| is_near[sight.node as usize]).collect();
+        let caster = RayCaster::new(&patch.surface)?;
+        let normals = patch.surface.triangle_normals();
+        let deepest_mm = (DEPTH_RADII * radius_mm).max(DEPTH_SDS * noise_mm);
+        let edge_mm = (EDGE_SDS * noise_mm).max(EDGE_RADII * lumen_mm);
+        let off_mm = (EDGE_SDS * noise_mm).max(OFF_SWEPT_RADII * lumen_mm);
+        let is_off_swept = |echo: &WorldEcho| {
+            Crossing::of(&self.swept, &self.swept_normals, echo, 0.0).is_some_and(|c| c.depth_mm > off_mm)
+        };
+        let every = near.len().div_ceil(MOST_ECHOES).max(1);
+        let look = |sight: &&Sight| {
+            let echo = &sight.echo;
+            let Crossing { at_mm, depth_mm, .. } =
+                Crossing::of(&caster, &normals, echo, WITHIN_SDS * noise_mm)?;
+            let share = depth_mm.max(0.0) / deepest_mm;
+            let is_beyond = depth_mm > edge_mm;
+            let is_others = is_beyond && self.beside[sight.node as usize].is_some_and(|of| is_other[of]);
+            (share < 1.0 && !is_others).then(|| Look {
+                point_mm: echo.point_mm,
+                image_normal: echo.image_normal,
+                at_mm,
+                depth_mm,
+                is_beyond,
+                is_off_swept: is_beyond && is_off_swept(echo),
+                frame: echo.frame,
+                // Those that noise alone may have moved so far count little.
+                weight: match is_beyond {
+                    true => tukey_weight(share) * (depth_mm / edge_mm - 1.0).min(1.0),
+                    false => 1.0,
+                },
+            })
+        };
+        Ok(near.into_par_iter().step_by(every).filter_map(|sight| look(&sight)).collect())
+    }
+}
+
+impl Suspect {
+    fn radius_mm(&self) -> f64 {
+        (self.area_mm2 / PI).sqrt()
+    }
+
     /// Tubes to begin the fit with: straight out, towards the echoes, and aslant.
-    fn starts(&self, away: DVec3, radius_mm: f64) -> Vec<LocalTube> {
+    fn starts(&self, away: DVec3) -> Vec<LocalTube> {
+        let radius_mm = self.radius_mm();
         let (across, other) = self.outward.any_orthonormal_pair();
         let tilted = (0..4).map(|k| {
             let (sin, cos) = (f64::from(k) / 4.0 * TAU).sin_cos();
@@ -619,34 +871,15 @@ impl Suspect {
     }
 }
 
-/// The echoes whose rays meet the continued wall of a patch.
-fn looks(patch: &Patch, sights: &[Sight], noise_mm: f64, lumen_mm: f64, radius_mm: f64) -> Result<Vec<Look>> {
-    let of_patch: BTreeSet<u32> = patch.nodes.iter().copied().collect();
-    let near: Vec<&Sight> = sights.iter().filter(|sight| of_patch.contains(&sight.node)).collect();
-    let caster = RayCaster::new(&patch.surface)?;
-    let normals = patch.surface.triangle_normals();
-    let deepest_mm = (DEPTH_RADII * radius_mm).max(DEPTH_SDS * noise_mm);
-    let edge_mm = (EDGE_SDS * noise_mm).max(EDGE_RADII * lumen_mm);
-    let every = near.len().div_ceil(MOST_ECHOES).max(1);
-    let look = |sight: &&Sight| {
-        let echo = &sight.echo;
-        let Crossing { at_mm, depth_mm, .. } = Crossing::of(&caster, &normals, echo, WITHIN_SDS * noise_mm)?;
-        let share = depth_mm.max(0.0) / deepest_mm;
-        (share < 1.0).then(|| Look {
-            point_mm: echo.point_mm,
-            image_normal: echo.image_normal,
-            at_mm,
-            depth_mm,
-            is_beyond: depth_mm > edge_mm,
-            frame: echo.frame,
-            // Those that noise alone may have moved so far count little.
-            weight: match depth_mm > edge_mm {
-                true => tukey_weight(share) * (depth_mm / edge_mm - 1.0).min(1.0),
-                false => 1.0,
-            },
-        })
+/// A part of the echoes that weighs as much as all: so many of the wall and of the branch at most.
+fn thinned(looks: &[Look], most: usize) -> Vec<Look> {
+    let of = |is_beyond: bool| {
+        let looks: Vec<&Look> = looks.iter().filter(|look| look.is_beyond == is_beyond).collect();
+        let every = looks.len().div_ceil(most).max(1);
+        let weighted = |look: &Look| Look { weight: look.weight * every as f64, ..*look };
+        looks.into_iter().step_by(every).map(weighted).collect::<Vec<_>>()
     };
-    Ok(near.into_par_iter().step_by(every).filter_map(|sight| look(&sight)).collect())
+    [of(false), of(true)].concat()
 }
 
 /// What was seen of a branch.
@@ -670,6 +903,7 @@ impl Branch<'_> {
         let mouth_at_mm = tube.station(to_axis.transform_point(mouth_mm));
         let (mut through, mut leaving, mut beyond) = (0, 0, 0);
         let (mut sectors, mut depths, mut frames) = ([0_usize; SECTORS], Vec::new(), BTreeSet::new());
+        let (mut off_swept, mut beyond_wall_mm) = (0, Vec::new());
         for look in self.looks {
             if outside_mm(tube, look.at_mm) < -0.3 * tube.radius_mm {
                 through += 1;
@@ -682,48 +916,95 @@ impl Branch<'_> {
             let p = to_axis.transform_point(look.point_mm);
             let Residual { distance_mm, variance, .. } = self.residual(tube, &to_axis, look);
             if distance_mm.abs() < 3.0 * self.noise_mm * variance.sqrt() {
-                let angle = p.y.atan2(p.x).rem_euclid(TAU);
-                sectors[((angle / TAU * SECTORS as f64) as usize).min(SECTORS - 1)] += 1;
+                sectors[sector(p)] += 1;
+                off_swept += usize::from(look.is_off_swept);
+                beyond_wall_mm.push(look.depth_mm);
                 depths.push(tube.station(p) - mouth_at_mm);
                 frames.insert(look.frame);
             }
         }
-        depths.sort_by(f64::total_cmp);
-        let depth_mm = depths.get(depths.len() * 9 / 10).copied().unwrap_or(0.0);
+        let largest = |values: &mut Vec<f64>| {
+            values.sort_by(f64::total_cmp);
+            values.get(values.len() * 9 / 10).copied().unwrap_or(0.0)
+        };
+        let (depth_mm, beyond_wall_mm) = (largest(&mut depths), largest(&mut beyond_wall_mm));
+        let is_bulge = (off_swept as f64) < LEAST_OFF_SWEPT * depths.len() as f64;
         let is_one = leaving as f64 >= LEAST_LEAVING * f64::from(through)
             && depths.len() as f64 >= LEAST_ON_TUBE * f64::from(beyond)
             && sectors.iter().filter(|&&n| n > 1).count() >= LEAST_SECTORS
             && depth_mm >= LEAST_DEPTH_RADII * tube.radius_mm
+            && (!is_bulge || beyond_wall_mm >= LEAST_DEPTH_RADII * tube.radius_mm)
             && depths.len() >= LEAST_ECHOES
             && frames.len() >= LEAST_FRAMES;
         is_one.then_some(Seen { frames: frames.len(), echoes: depths.len(), depth_mm })
     }
 
-    /// Standard errors by leaving out every group of frames once; `None` where there is no mouth without one of them.
+    /// Standard errors by a jackknife over groups of frames, or over sectors of the branch where that gives more: a branch
+    /// is no tube, and its own shape is alike in all frames; with what its shape leaves open of the rim. `None` where there is
+    /// no mouth without one of the groups of frames.
     fn errors(&self, patch: &Patch, tube: &LocalTube) -> Option<Errors> {
         let frames: BTreeSet<u32> = self.looks.iter().map(|look| look.frame).collect();
         let frames: Vec<u32> = frames.into_iter().collect();
         let run = frames.len().div_ceil(RUNS).max(1);
-        let group = |frame: u32| frames.partition_point(|&other| other < frame) / run % GROUPS;
-        let without: Vec<Option<Measured>> = (0..GROUPS)
+        let of_frame = |look: &Look| frames.partition_point(|&other| other < look.frame) / run % GROUPS;
+        let by_frames: Vec<Measured> =
+            self.without_each(patch, tube, GROUPS, &of_frame).into_iter().collect::<Option<_>>()?;
+        let to_axis = tube.world_from_axis.inverse();
+        let of_sector = |look: &Look| sector(to_axis.transform_point(look.point_mm));
+        let by_sectors: Vec<Measured> =
+            self.without_each(patch, tube, SECTORS, &of_sector).into_iter().flatten().collect();
+        let [of_frames, of_sectors] = [by_frames, by_sectors].map(|without| Errors::of(&without));
+        // Where the branch leaves aslant, a little of its radius is much of the rim.
+        let by_mm = RIM_RADII * tube.radius_mm;
+        let [narrow, wide] = [-by_mm, by_mm]
+            .map(|by_mm| LocalTube { radius_mm: tube.radius_mm + by_mm, ..*tube })
+            .map(|tube| patch.within(&tube, self.centre_mm));
+        let (narrow, wide) = (narrow?, wide?);
+        let of_rim_mm = 0.5 * wide.centre_mm.distance(narrow.centre_mm);
+        let of_rim_mm2 = 0.5 * (wide.area_mm2 - narrow.area_mm2);
+        Some(Errors {
+            centre_mm: of_frames.centre_mm.max(of_sectors.centre_mm).hypot(of_rim_mm),
+            area_mm2: of_frames.area_mm2.max(of_sectors.area_mm2).hypot(of_rim_mm2),
+            direction_deg: of_frames.direction_deg.max(of_sectors.direction_deg),
+        })
+    }
+
+    /// The mouth without each of some groups of echoes.
+    fn without_each(
+        &self,
+        patch: &Patch,
+        tube: &LocalTube,
+        groups: usize,
+        group: &(dyn Fn(&Look) -> usize + Sync),
+    ) -> Vec<Option<Measured>> {
+        (0..groups)
             .into_par_iter()
             .map(|left_out| {
-                let tube = self.fitted(*tube, &|frame| group(frame) != left_out)?;
+                let tube = self.fitted(*tube, &|look| group(look) != left_out)?;
                 patch.within(&tube, self.centre_mm)
             })
-            .collect();
-        let without: Vec<Measured> = without.into_iter().collect::<Option<_>>()?;
-        let count = without.len() as f64;
-        // The jackknife's variance from the sum of squares about the mean.
+            .collect()
+    }
+}
+
+/// The sector of a branch that a point lies in, given in its tube's coordinates.
+fn sector(p: DVec3) -> usize {
+    ((p.y.atan2(p.x).rem_euclid(TAU) / TAU * SECTORS as f64) as usize).min(SECTORS - 1)
+}
+
+impl Errors {
+    /// The jackknife's standard errors from the mouths without each of the groups: none of less than two.
+    fn of(without: &[Measured]) -> Self {
+        let count = without.len().max(1) as f64;
         let error = |squares: f64| ((count - 1.0) / count * squares).sqrt();
         let area_mm2 = without.iter().map(|m| m.area_mm2).sum::<f64>() / count;
         let centre_mm = without.iter().map(|m| m.centre_mm).sum::<DVec3>() / count;
-        let direction = without.iter().map(|m| m.direction).sum::<DVec3>().normalize();
+        let direction = without.iter().map(|m| m.direction).sum::<DVec3>().normalize_or_zero();
         let sum = |of: &dyn Fn(&Measured) -> f64| without.iter().map(of).sum::<f64>();
-        Some(Errors {
+        Self {
             centre_mm: error(sum(&|m| m.centre_mm.distance_squared(centre_mm))),
             area_mm2: error(sum(&|m| (m.area_mm2 - area_mm2).powi(2))),
             direction_deg: error(sum(&|m| m.direction.angle_between(direction).to_degrees().powi(2))),
-        })
+        }
     }
 }

@@ -1,6 +1,35 @@
 //! Plates: functions on a triangle surface that bend as little as possible.
 
 use crate::surface::Surface;
+use glam::DVec3;
+use std::ops::{Add, AddAssign, Div, Mul, Sub, SubAssign};
+
+/// What a plate has at each node: a number, or a place.
+pub(super) trait Value:
+    Copy
+    + Default
+    + Add<Output = Self>
+    + AddAssign
+    + Sub<Output = Self>
+    + SubAssign
+    + Mul<f64, Output = Self>
+    + Div<f64, Output = Self>
+{
+    /// The product, summed over the coordinates.
+    fn dot(self, other: Self) -> f64;
+}
+
+impl Value for f64 {
+    fn dot(self, other: Self) -> f64 {
+        self * other
+    }
+}
+
+impl Value for DVec3 {
+    fn dot(self, other: Self) -> f64 {
+        DVec3::dot(self, other)
+    }
+}
 
 /// Steps of the conjugate gradients, and their relative accuracy.
 const MAX_STEPS: usize = 400;
@@ -37,10 +66,10 @@ impl Laplacian {
     }
 
     /// Sums of differences to the neighbours, weighted.
-    pub(super) fn apply(&self, u: &[f64]) -> Vec<f64> {
-        let mut sum = vec![0.0; u.len()];
+    pub(super) fn apply<V: Value>(&self, u: &[V]) -> Vec<V> {
+        let mut sum = vec![V::default(); u.len()];
         for &([a, b], weight) in &self.edges {
-            let flow = weight * (u[b as usize] - u[a as usize]);
+            let flow = (u[b as usize] - u[a as usize]) * weight;
             sum[a as usize] += flow;
             sum[b as usize] -= flow;
         }
@@ -82,16 +111,15 @@ impl Laplacian {
 }
 
 /// Solves a symmetric positive system, preconditioned by its diagonal.
-pub(super) fn conjugate_gradients(
-    apply: &dyn Fn(&[f64]) -> Vec<f64>,
-    right: &[f64],
+pub(super) fn conjugate_gradients<V: Value>(
+    apply: &dyn Fn(&[V]) -> Vec<V>,
+    right: &[V],
     diagonal: &[f64],
-) -> Vec<f64> {
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
-    let conditioned = |r: &[f64]| -> Vec<f64> {
-        r.iter().zip(diagonal).map(|(r, d)| r / d.max(f64::MIN_POSITIVE)).collect()
-    };
-    let mut x = vec![0.0; right.len()];
+) -> Vec<V> {
+    let dot = |a: &[V], b: &[V]| a.iter().zip(b).map(|(x, y)| x.dot(*y)).sum::<f64>();
+    let per: Vec<f64> = diagonal.iter().map(|d| d.max(f64::MIN_POSITIVE)).collect();
+    let conditioned = |r: &[V]| -> Vec<V> { r.iter().zip(&per).map(|(r, d)| *r / *d).collect() };
+    let mut x = vec![V::default(); right.len()];
     let mut residual = right.to_vec();
     let mut z = conditioned(&residual);
     let mut direction = z.clone();
@@ -106,13 +134,13 @@ pub(super) fn conjugate_gradients(
         if !step.is_finite() {
             break;
         }
-        x.iter_mut().zip(&direction).for_each(|(x, d)| *x += step * d);
-        residual.iter_mut().zip(&image).for_each(|(r, i)| *r -= step * i);
+        x.iter_mut().zip(&direction).for_each(|(x, d)| *x += *d * step);
+        residual.iter_mut().zip(&image).for_each(|(r, i)| *r -= *i * step);
         z = conditioned(&residual);
         let next = dot(&residual, &z);
         let ratio = next / rho;
         rho = next;
-        direction.iter_mut().zip(&z).for_each(|(d, z)| *d = z + ratio * *d);
+        direction.iter_mut().zip(&z).for_each(|(d, z)| *d = *z + *d * ratio);
     }
     x
 }

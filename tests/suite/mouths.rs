@@ -11,6 +11,7 @@ use lumenmesh::simulate::{
     Centreline, FaultKind, Insertion, Noise, Phantom, Shape, SimulatedVessel, Simulation, SimulationSettings,
     Visit,
 };
+use rayon::prelude::*;
 
 fn swept(recording: &Recording) -> Lumen {
     Reconstructor::new(Settings::default()).run(recording).unwrap()
@@ -212,6 +213,56 @@ fn branches_that_were_not_entered_have_mouths() {
     }
 }
 
+/// Noise as little as 0.3 mm on the contours, and none.
+fn little_noise() -> [Noise; 2] {
+    [Noise::default().with_contour_sd_mm(0.3).with_seed(3), Noise::none()]
+}
+
+#[test]
+fn mouths_are_found_where_there_is_little_noise_or_none() {
+    for angle_deg in [60.0, 90.0] {
+        let vessel = Phantom::from(side(11.0, 6.0, angle_deg)).vessel().unwrap();
+        let truth = of_side(&vessel, 11.0, 6.0).remove(0);
+        for noise in little_noise() {
+            let settings =
+                SimulationSettings::default().with_insertion(Insertion::steady()).with_noise(noise.clone());
+            let lumen = swept(&Simulation::run(vessel.clone(), &settings).unwrap().recording);
+            let [mouth] = lumen.mouths() else { panic!("{angle_deg}°: {} mouths", lumen.mouths().len()) };
+            let is_right = |truth: &TrueMouth| {
+                let off = Off::of(mouth, truth);
+                off.centre_mm < 0.4 && off.area.abs() < 0.1 && off.direction_deg < 5.0
+            };
+            assert!(is_right(&truth), "{angle_deg}°: {mouth:?}, {truth:?}");
+            let elsewhere = TrueMouth { centre_mm: truth.centre_mm + DVec3::Y, ..truth };
+            assert!(!is_right(&elsewhere));
+        }
+    }
+}
+
+#[test]
+fn a_wide_place_of_the_vessel_itself_is_no_mouth() {
+    // Where the contours reach into a branch, their centres move towards it, and the wall across from it seems to bulge; at a
+    // bifurcation the daughter that the catheter enters does.
+    for Case { name, shape, mouths, .. } in cases() {
+        if !["side branch at 45°", "bifurcation"].contains(&name) {
+            continue;
+        }
+        let vessel = Phantom::from(shape).vessel().unwrap();
+        let truth = mouths(&vessel).remove(0);
+        for insertion in [Insertion::default(), Insertion::steady()] {
+            for noise in little_noise() {
+                let settings =
+                    SimulationSettings::default().with_insertion(insertion.clone()).with_noise(noise);
+                let lumen = swept(&Simulation::run(vessel.clone(), &settings).unwrap().recording);
+                for mouth in lumen.mouths() {
+                    let away_mm = mouth.centre_mm.distance(truth.centre_mm);
+                    assert!(away_mm < 5.0, "{name}: {away_mm} mm");
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn a_branch_that_was_entered_has_no_mouth() {
     let visits = vec![Visit::new(0, None), Visit::new(1, None)];
@@ -240,43 +291,58 @@ fn one_branch_entered_and_another_seen() {
     assert!(away < 3.0, "{away}");
 }
 
-/// The recordings of vessels without mouths, with every so many of the errors that laboratories meet, in which one is found.
-fn false_mouths(shapes: &[&str], every: usize, seeds: u64) -> usize {
-    let (mut count, mut wrong) = (0, 0);
-    for shape in shapes {
-        let vessel = Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
+/// The recordings of vessels without mouths, with every so many of the errors that laboratories meet on top of a share of the
+/// usual noise, in which one is found.
+fn false_mouths(shapes: &[&str], every: usize, seeds: u64, noise: f64) -> usize {
+    let vessel = |shape: &str| Phantom::from(shape.parse::<Shape>().unwrap()).vessel().unwrap();
+    let vessels: Vec<SimulatedVessel> = shapes.iter().map(|shape| vessel(shape)).collect();
+    let recordings: Vec<(usize, u64, FaultKind)> = (0..shapes.len())
+        .flat_map(|shape| (0..seeds).map(move |seed| (shape, seed)))
+        .flat_map(|(shape, seed)| {
+            let kinds = FaultKind::ALL.into_iter().skip(seed as usize % every).step_by(every);
+            kinds.map(move |kind| (shape, seed, kind))
+        })
+        .collect();
+    // Whether there is a mouth; `None` of a recording that is refused.
+    let has_mouth = |&(shape, seed, kind): &(usize, u64, FaultKind)| {
+        let vessel = vessels[shape].clone();
         let radius_mm = vessel.branches()[0].median_radius_mm();
-        for seed in 0..seeds {
-            for kind in FaultKind::ALL.iter().skip(seed as usize % every).step_by(every) {
-                let noise = Noise::default().with_seed(seed + 100);
-                let mut settings = SimulationSettings::default().with_noise(noise);
-                kind.apply(&mut settings, radius_mm);
-                let simulation = Simulation::run(vessel.clone(), &settings).unwrap();
-                let Ok(lumen) = Reconstructor::new(Settings::default()).run(&simulation.recording) else {
-                    continue;
-                };
-                count += 1;
-                if !lumen.mouths().is_empty() {
-                    wrong += 1;
-                    println!("{shape}, {}, seed {seed}: {:?}", kind.name, lumen.mouths());
-                }
-            }
+        let usual = Noise::default();
+        let share = usual
+            .clone()
+            .with_seed(seed + 100)
+            .with_position_sd_mm(noise * usual.position_sd_mm)
+            .with_rotation_sd_deg(noise * usual.rotation_sd_deg)
+            .with_contour_sd_mm(noise * usual.contour_sd_mm);
+        let mut settings = SimulationSettings::default().with_noise(share);
+        kind.apply(&mut settings, radius_mm);
+        let simulation = Simulation::run(vessel, &settings).unwrap();
+        let lumen = Reconstructor::new(Settings::default()).run(&simulation.recording).ok()?;
+        if !lumen.mouths().is_empty() {
+            println!("{}, {}, seed {seed}: {:?}", shapes[shape], kind.name, lumen.mouths());
         }
-    }
-    println!("{wrong} of {count} recordings with a mouth that is none");
-    assert!(count > 0);
+        Some(!lumen.mouths().is_empty())
+    };
+    // One recording on each thread: much of a small one is not done side by side.
+    let found: Vec<bool> = recordings.par_iter().with_max_len(1).filter_map(has_mouth).collect();
+    let wrong = found.iter().filter(|is| **is).count();
+    println!("{wrong} of {} recordings with a mouth that is none", found.len());
+    assert!(found.len() > recordings.len() / 2);
     wrong
 }
 
 #[test]
 fn no_mouth_is_invented() {
-    assert_eq!(false_mouths(&["small_arch", "ellipse"], 6, 1), 0);
+    assert_eq!(false_mouths(&["small_arch", "ellipse"], 6, 1, 1.0), 0);
+    assert_eq!(false_mouths(&["aneurysm", "stenosis"], 12, 1, 0.2), 0);
 }
 
 #[test]
 #[ignore = "takes many minutes"]
 fn no_mouth_is_invented_in_hundreds_of_recordings() {
-    assert_eq!(false_mouths(&["arch", "small_arch", "aneurysm", "ellipse", "stenosis"], 1, 3), 0);
+    let shapes = ["arch", "small_arch", "aneurysm", "ellipse", "stenosis"];
+    assert_eq!(false_mouths(&shapes, 1, 3, 1.0), 0);
+    assert_eq!(false_mouths(&shapes, 1, 1, 0.2), 0);
 }
 
 #[test]
