@@ -276,8 +276,8 @@ pub struct SweepSettings {
     /// Whether a small error of every pose is estimated together with the wall and removed. It pays where the tracker is
     /// noisier than 0.3 mm and 0.5°, or where frames are sparse, and takes several times as long.
     pub correct_poses: bool,
-    /// What becomes of the shifts of single frames. Where `correct_poses` or `even_smoothness` is set, and live, frames stay where
-    /// they are.
+    /// What becomes of the shifts of single frames. Where `correct_poses` or `even_smoothness` is set, in a vessel that branches,
+    /// and live, frames stay where they are.
     pub frame_shifts: FrameShifts,
     /// Whether smoothing is the same along the whole vessel, rather than following its roughness and the noise that
     /// neighbouring echoes share.

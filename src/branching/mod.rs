@@ -22,7 +22,7 @@ pub use report::{
 pub use tree::{BranchPath, BranchTree, Dismissed};
 
 use crate::recording::Recording;
-use crate::settings::Settings;
+use crate::settings::{FrameShifts, Settings};
 use crate::surface::Surface;
 use crate::sweep::{Outlines, StageProgress, StateError, Support, Sweep, WallDevice};
 use crate::{Error, Result};
@@ -243,6 +243,9 @@ fn swept(
     progress: &StageProgress,
     device: &WallDevice,
 ) -> Result<std::result::Result<Vec<Sweep>, (usize, String)>> {
+    // Where branches meet, the surface is fitted to the echoes of all as they were recorded.
+    let settings =
+        &Settings { sweep: settings.sweep.clone().with_frame_shifts(FrameShifts::Off), ..settings.clone() };
     let count = tree.branches.len();
     let reached: Vec<AtomicUsize> = (0..count).map(|_| AtomicUsize::new(0)).collect();
     let sweep = |number: usize| {
