@@ -245,7 +245,7 @@ fn swept(
 ) -> Result<std::result::Result<Vec<Sweep>, (usize, String)>> {
     // Where branches meet, the surface is fitted to the echoes of all as they were recorded.
     let settings =
-        &Settings { sweep: settings.sweep.clone().with_frame_shifts(FrameShifts::Off), ..settings.clone() };
+        &Settings { sweep: settings.sweep.with_frame_shifts(FrameShifts::Off), ..settings.clone() };
     let count = tree.branches.len();
     let reached: Vec<AtomicUsize> = (0..count).map(|_| AtomicUsize::new(0)).collect();
     let sweep = |number: usize| {
