@@ -243,6 +243,7 @@ fn mouths_are_found_where_there_is_little_noise_or_none() {
 fn a_wide_place_of_the_vessel_itself_is_no_mouth() {
     // Where the contours reach into a branch, their centres move towards it, and the wall across from it seems to bulge; at a
     // bifurcation the daughter that the catheter enters does.
+    let mut found = 0;
     for Case { name, shape, mouths, .. } in cases() {
         if !["side branch at 45°", "bifurcation"].contains(&name) {
             continue;
@@ -257,10 +258,13 @@ fn a_wide_place_of_the_vessel_itself_is_no_mouth() {
                 for mouth in lumen.mouths() {
                     let away_mm = mouth.centre_mm.distance(truth.centre_mm);
                     assert!(away_mm < 5.0, "{name}: {away_mm} mm");
+                    found += 1;
                 }
             }
         }
     }
+    // Of 8 recordings with one true mouth each.
+    assert!(found >= 4, "{found}");
 }
 
 #[test]

@@ -136,8 +136,6 @@ const MAX_DESIGN_EFFECT: f64 = 4.0;
 const RING_REACHES: f64 = 1.0;
 const NODE_REACHES: f64 = 3.0;
 const VARIANCE_REACHES: f64 = 2.0;
-/// Steps within which projections converge on a wall.
-const PROJECTION_STEPS: usize = 3;
 
 /// Levels of some kinds of errors: variances, mm².
 type Levels = Vec<(Process, f64)>;
@@ -242,9 +240,7 @@ pub(super) fn estimate(
                 sensors[frame].translation_mm -= *shift_mm;
             }
             *echoes = prepared.echoes(&sensors);
-            for _ in 0..PROJECTION_STEPS {
-                wall.residual_model(grid).measure_all(echoes, true);
-            }
+            wall.residual_model(grid).project_all(echoes);
             *wall = refit(grid, echoes, roughness, wall.clone(), checkpoint)?;
             recording = Recorded::of(grid, times_s, echoes, &support.supported);
             linear = linearised(grid, echoes, wall);

@@ -95,8 +95,6 @@ const MAX_SHARE: f64 = 1.0;
 /// Rounds of linearisation; they go on until a step is below this share of its standard error.
 const MAX_ROUNDS: usize = 12;
 const ENOUGH_ERRORS: f64 = 0.2;
-/// Steps within which projections converge on a wall.
-const PROJECTION_STEPS: usize = 3;
 /// Residuals beyond this many standard deviations of the noise count as that many.
 const MAX_SDS: f64 = 3.0;
 /// What is added to the information about a shift, as a share of its trace: along a straight vessel there is none.
@@ -298,9 +296,7 @@ impl Estimator<'_> {
                 let frames = self.moved(&rhythms, &[0.0; PARTS]);
                 let moved = prepared.with_contours(&frames);
                 let mut echoes = moved.echoes(&moved.sensors());
-                for _ in 0..PROJECTION_STEPS {
-                    wall.residual_model(&prepared.grid).measure_all(&mut echoes, true);
-                }
+                wall.residual_model(&prepared.grid).project_all(&mut echoes);
                 wall =
                     refit(&prepared.grid, &mut echoes, self.settings.sweep.roughness, wall, self.checkpoint)?;
                 let step = self.fitted(prepared, &echoes, &wall).step(&rhythms)?;

@@ -67,8 +67,6 @@ const VELOCITY_WINDOW_S: f64 = 0.5;
 /// Share of the noise's variance across the image plane without the errors of the pose. The contours' own noise lies within
 /// the plane; the share bounds the weight of a wall that runs along the plane.
 const CONTOUR_OUT_OF_PLANE: f64 = 0.02;
-/// Steps within which projections converge on a wall.
-const PROJECTION_STEPS: usize = 3;
 
 impl Tracker {
     /// Estimates the errors that `settings` ask for, and corrects poses of the sensor, echoes and wall; `None` where they ask for
@@ -245,9 +243,7 @@ impl Estimator<'_> {
 
     /// Moves the echoes' projections until they converge.
     fn project(&self, echoes: &mut [Echo], wall: &Wall) {
-        for _ in 0..PROJECTION_STEPS {
-            wall.residual_model(&self.prepared.grid).measure_all(echoes, true);
-        }
+        wall.residual_model(&self.prepared.grid).project_all(echoes);
     }
 }
 

@@ -13,6 +13,8 @@ pub(in crate::sweep) const GATE_SDS: f64 = 6.0;
 pub(in crate::sweep) const GATE_RADII: f64 = 0.25;
 /// Projections lie at most this many standard deviations from their echoes.
 pub(in crate::sweep) const MAX_PROJECTION_SDS: f64 = 3.0;
+/// Steps within which projections converge on a wall that stays.
+const PROJECTION_STEPS: usize = 3;
 /// Echoes per parallel task: a fixed number, so that sums do not depend on the number of threads.
 pub(in crate::sweep) const TASK: usize = 8192;
 
@@ -83,6 +85,11 @@ impl<'a> ResidualModel<'a> {
             echo.shift = [(shift.z * per_step) as f32, (shift.y * per_arc) as f32];
         }
         Measured { radial_mm, weight, wall_mm: wall, normal }
+    }
+
+    /// Moves the projections of all echoes until they have converged on the wall.
+    pub(in crate::sweep) fn project_all(&self, echoes: &mut [Echo]) {
+        (0..PROJECTION_STEPS).for_each(|_| self.measure_all(echoes, true));
     }
 
     /// Evaluates the residuals of all echoes, and with `project` moves their projections.
