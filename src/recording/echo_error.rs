@@ -6,6 +6,9 @@ use std::f64::consts::{PI, TAU};
 /// Share of an echo's variance that lies across its image plane: contours are uncertain within their plane, poses in
 /// every direction. At the thesis's noise levels 0.09 mm² of 1.09 mm².
 pub(crate) const OUT_OF_PLANE: f64 = 0.1;
+/// The same without the errors of the pose. The contours' own noise lies within the plane; the share bounds the weight of a wall
+/// that runs along the plane.
+pub(crate) const CONTOUR_OUT_OF_PLANE: f64 = 0.02;
 
 /// The direction `Σn` from an echo to the likeliest point of a wall with the normal `n`, and the variance `nᵀΣn` of the
 /// echo's distance along `n`, times the length of `n`, in units of its variance within the image plane.

@@ -167,7 +167,8 @@ impl Sweep {
             // A model of all errors of the poses leaves no shifts of single frames to correct.
             let moves = settings.sweep.frame_shifts == FrameShifts::Auto && !settings.sweep.correct_poses;
             let movable = moves.then_some((&prepared, &sensors[..]));
-            let frames = errors::Frames { times_s: &times_s, movable };
+            let keeps_out_of_plane = tracker.as_ref().is_some_and(|tracker| tracker.poses_corrected);
+            let frames = errors::Frames { times_s: &times_s, movable, keeps_out_of_plane };
             let Prepared { grid, .. } = &prepared;
             errors::estimate(grid, frames, &settings.sweep, &mut echoes, &mut wall, &support, &estimating)
         })?;

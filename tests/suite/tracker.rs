@@ -121,6 +121,16 @@ fn frames_without_shifts_of_their_own_stay_where_they_are() {
 }
 
 #[test]
+fn where_a_tilted_catheter_rests_an_exact_tracker_leaves_no_bias() {
+    // With a tenth of the noise across the images, as the thesis's tracker has it, it is 0.033 mm for the first seed.
+    let errors_mm = [1, 2, 3].map(|seed| {
+        let exact = Noise::default().with_seed(seed).with_position_sd_mm(0.0).with_rotation_sd_deg(0.0);
+        reconstructed(&simulated("arch", exact), SweepSettings::default()).0
+    });
+    assert!(errors_mm[0] < 0.030 && errors_mm.iter().sum::<f64>() < 3.0 * 0.030, "{errors_mm:?}");
+}
+
+#[test]
 fn a_perfect_tracker_is_left_alone() {
     let noise = Noise::default().with_position_sd_mm(0.0).with_rotation_sd_deg(0.0);
     let simulation = simulated("arch", noise);

@@ -28,6 +28,7 @@ use crate::geometry::Pose;
 use crate::numerics::nonnegative::nonnegative_least_squares;
 use crate::numerics::robust::median;
 use crate::recording::FRAME_INTERVAL_S;
+use crate::recording::echo_error::{CONTOUR_OUT_OF_PLANE, OUT_OF_PLANE};
 use crate::settings::SweepSettings;
 use moments::{Sectors, Sums};
 use process::{Process, Seen, add_draw, frequency_hz, random};
@@ -132,6 +133,8 @@ const MAX_RING: f64 = 9.0;
 /// Largest design effect that smoothing makes up for: the variance of a wall whose echoes err alike, in units of that where
 /// they err independently. Errors that are alike over more than the reach of an echo are not smoothed away by any means.
 const MAX_DESIGN_EFFECT: f64 = 4.0;
+/// Largest share of the variance across the image planes: directions of echoes that have more of it there are hardly told apart.
+const MAX_OUT_OF_PLANE: f64 = 0.5;
 /// Distances over which statistics are averaged, in reaches of an echo.
 const RING_REACHES: f64 = 1.0;
 const NODE_REACHES: f64 = 3.0;
@@ -195,6 +198,9 @@ pub(super) struct Frames<'a> {
     pub times_s: &'a [Option<f64>],
     /// The recording, and the poses of the sensor that its echoes are placed with; `None` where frames must stay where they are.
     pub movable: Option<(&'a Prepared<'a>, &'a [Pose])>,
+    /// Whether the share of the variance across the images stays that of the wall: where the poses were corrected, in the
+    /// search for motion, and live.
+    pub keeps_out_of_plane: bool,
 }
 
 /// Estimates the errors of a recording, fits the wall again with a smoothness that follows its roughness and without shifts of
@@ -211,7 +217,7 @@ pub(super) fn estimate(
 ) -> Result<Option<(RecordingErrors, NodeErrors)>> {
     let roughness = settings.roughness;
     let perfect = wall.noise_mm.is_nan() || wall.noise_mm <= 1e-9 * grid.radius_mm();
-    let Frames { times_s, mut movable } = frames;
+    let Frames { times_s, mut movable, keeps_out_of_plane } = frames;
     if times_s.len() < MIN_FRAMES || echoes.len() < MIN_ECHOES || perfect {
         return Ok(None);
     }
@@ -219,6 +225,9 @@ pub(super) fn estimate(
     let mut estimate = recording.estimate(roughness, echoes, wall)?;
     // Without noise the grid smooths more than the echoes ask for.
     if !settings.even_smoothness && wall.noise_mm > grid.cell_noise_mm(roughness) {
+        if !keeps_out_of_plane {
+            wall.out_of_plane = out_of_plane(&estimate.descriptions);
+        }
         wall.local = LocalSmoothness::of(estimate.of_rings.iter().map(|ratio| ratio.recip()).collect());
         *wall = refit(grid, echoes, roughness, wall.clone(), checkpoint)?;
     } else {
@@ -240,6 +249,8 @@ pub(super) fn estimate(
                 sensors[frame].translation_mm -= *shift_mm;
             }
             *echoes = prepared.echoes(&sensors);
+            // Across the images there is still what moves the frames along the vessel.
+            wall.out_of_plane = OUT_OF_PLANE;
             wall.residual_model(grid).project_all(echoes);
             *wall = refit(grid, echoes, roughness, wall.clone(), checkpoint)?;
             recording = Recorded::of(grid, times_s, echoes, &support.supported);
@@ -259,6 +270,21 @@ pub(super) fn estimate(
     errors.corrected = corrected;
     errors.seen_for_s = recording.seen_for_s(echoes, recording.reach_mm(echoes, wall));
     Ok(Some((errors, of_nodes)))
+}
+
+/// Share of an echo's variance that lies across its image plane: shifts of frames lie in all directions, other errors within it.
+fn out_of_plane(descriptions: &[Levels]) -> f64 {
+    let variance_mm2 = |of_frames: bool| -> f64 {
+        let levels = descriptions.iter().flatten().filter(|(process, _)| match process {
+            Process::Shift { .. } | Process::Beat { order: 1.., .. } => of_frames,
+            Process::Wall => false,
+            _ => !of_frames,
+        });
+        levels.map(|(_, variance_mm2)| variance_mm2).sum()
+    };
+    let [of_frames, others] = [true, false].map(variance_mm2);
+    let share = of_frames / (of_frames + others);
+    if share.is_finite() { share.clamp(CONTOUR_OUT_OF_PLANE, MAX_OUT_OF_PLANE) } else { OUT_OF_PLANE }
 }
 
 /// A recording about its grid.
@@ -780,5 +806,27 @@ impl RecordingErrors {
             }
         }
         errors
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shifts_lie_in_all_directions_and_other_errors_in_the_image_plane() {
+        let (ray, shift) = ((Process::Ray, 1.0), (Process::Shift { correlation_s: 0.0 }, 0.25));
+        let contour = (Process::Contour { width_rad: 0.5, correlation_s: 0.0 }, 3.0);
+        let beats = [0, 1].map(|order| (Process::Beat { order, frequency_hz: 1.0 }, 0.25));
+        let share = |levels: &[(Process, f64)]| out_of_plane(&[levels.to_vec()]);
+        assert_eq!(share(&[ray, shift]), 0.2);
+        assert_eq!(share(&[ray, shift, contour, (Process::Wall, 9.0)]), 0.25 / 4.25);
+        assert_eq!([share(&[ray, beats[0]]), share(&[ray, beats[1]])], [CONTOUR_OUT_OF_PLANE, 0.2]);
+        assert_eq!(
+            [share(&[ray]), share(&[shift]), share(&[])],
+            [CONTOUR_OUT_OF_PLANE, MAX_OUT_OF_PLANE, OUT_OF_PLANE]
+        );
+        // All descriptions count.
+        assert_eq!(out_of_plane(&[vec![ray, shift], vec![ray, shift, shift, shift]]), 1.0 / 3.0);
     }
 }

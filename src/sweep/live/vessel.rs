@@ -448,7 +448,7 @@ impl GrowingVessel {
         };
         let mut wall = refit(&self.grid, &mut echoes, self.roughness, wall, go_on)?;
         let mut support = Support::of(&self.grid, &echoes, &wall);
-        let frames = errors::Frames { times_s, movable: None };
+        let frames = errors::Frames { times_s, movable: None, keeps_out_of_plane: true };
         let found = errors::estimate(&self.grid, frames, settings, &mut echoes, &mut wall, &support, go_on)?;
         if let Some((errors, of_nodes)) = found {
             self.shift_mm = errors.shift_mm();

@@ -231,6 +231,7 @@ impl Estimator<'_> {
                 errors::Frames {
                     times_s: &self.clock.times_s.iter().copied().map(Some).collect::<Vec<_>>(),
                     movable: None,
+                    keeps_out_of_plane: true,
                 },
                 &self.settings.sweep,
                 &mut echoes,

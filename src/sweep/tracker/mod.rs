@@ -8,6 +8,7 @@ mod joint;
 
 use crate::geometry::Pose;
 use crate::recording::Frame;
+use crate::recording::echo_error::CONTOUR_OUT_OF_PLANE;
 use crate::settings::SweepSettings;
 use crate::sweep::prepare::Prepared;
 use crate::sweep::prepare::echo::Echo;
@@ -64,9 +65,6 @@ const MAX_OFFSET_S: f64 = 5.0;
 /// Noise of 0.3 mm at 12 frames per second then makes 0.3 mm/s, a tenth of a catheter's speed; from one frame to the next
 /// it would make 2.5 mm/s.
 const VELOCITY_WINDOW_S: f64 = 0.5;
-/// Share of the noise's variance across the image plane without the errors of the pose. The contours' own noise lies within
-/// the plane; the share bounds the weight of a wall that runs along the plane.
-const CONTOUR_OUT_OF_PLANE: f64 = 0.02;
 
 impl Tracker {
     /// Estimates the errors that `settings` ask for, and corrects poses of the sensor, echoes and wall; `None` where they ask for
