@@ -273,8 +273,8 @@ pub struct SweepSettings {
     pub roughness: f64,
     /// Whether the surface keeps the parts that no echo supports (marked by the node array `supported`).
     pub keep_unsupported: bool,
-    /// Whether a small error of every pose is estimated together with the wall and removed. It pays where the tracker is
-    /// noisier than 0.3 mm and 0.5°, or where frames are sparse, and takes several times as long.
+    /// Whether a small error of every pose is estimated together with the wall and removed. It tells how
+    /// noisy the tracker is; the wall gains where smoothing is even, and hardly otherwise. It takes several times as long.
     pub correct_poses: bool,
     /// What becomes of the shifts of single frames. Where `correct_poses` or `even_smoothness` is set, in a vessel that branches,
     /// and live, frames stay where they are.
