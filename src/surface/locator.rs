@@ -104,10 +104,10 @@ impl RayCaster {
         });
         let first = Cell::new(likely.unwrap_or((range, None)));
         let ray = Ray::new(self.boxes.place(origin_mm), direction * self.boxes.per_mm);
-        self.boxes.tree.find_best(
+        self.boxes.find_best(
             Boxes::reach(first.get().0),
-            |node, _| ray.entry(node),
-            |triangle, _| {
+            |node| ray.entry(node),
+            |triangle| {
                 let distance = meets(triangle)?;
                 if (distance, Some(triangle)) < first.get() {
                     first.set((distance, Some(triangle)));
@@ -216,10 +216,10 @@ impl Locator {
         };
         let nearest = Cell::new(measure(start));
         let query = boxes.place(query_mm).as_vec3a().clamp(-Boxes::FAR, Boxes::FAR);
-        boxes.tree.find_best(
+        boxes.find_best(
             boxes.bound(nearest.get().squared_mm2),
-            |node, _| squared_distance(node, query),
-            |triangle, _| {
+            |node| squared_distance(node, query),
+            |triangle| {
                 if triangle == start {
                     return None;
                 }
@@ -289,9 +289,44 @@ impl Nearest {
 /// Boxes about triangles in single precision, from the surface's centre and in units of its size.
 #[derive(Debug, Clone)]
 struct Boxes {
+    /// The tree of the parts.
     tree: Bvh,
+    /// Triangles near each other, with a tree of their own: they are built on all threads.
+    parts: Vec<Part>,
     centre_mm: DVec3,
     per_mm: f64,
+}
+
+#[derive(Debug, Clone)]
+struct Part {
+    tree: Bvh,
+    triangles: Vec<u32>,
+}
+
+impl Part {
+    /// Triangles of at most this number are one part.
+    const MOST: usize = 1 << 13;
+
+    /// The parts of some triangles, halved along the longest extent until they are few.
+    fn split(triangles: &mut [(u32, Aabb)]) -> Vec<Self> {
+        if triangles.len() <= Self::MOST {
+            let boxes = triangles.iter().map(|(_, about)| *about).enumerate();
+            let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes);
+            return vec![Self { tree, triangles: triangles.iter().map(|(t, _)| *t).collect() }];
+        }
+        let centres = Aabb::from_points(triangles.iter().map(|(_, about)| about.center()));
+        let axis = centres.extents().max_position();
+        let place = |(t, about): &(u32, Aabb)| (about.center()[axis], *t);
+        let middle = triangles.len() / 2;
+        triangles.select_nth_unstable_by(middle, |a, b| {
+            let (a, b) = (place(a), place(b));
+            a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))
+        });
+        let (before, after) = triangles.split_at_mut(middle);
+        let (mut parts, after) = rayon::join(|| Self::split(before), || Self::split(after));
+        parts.extend(after);
+        parts
+    }
 }
 
 impl Boxes {
@@ -308,17 +343,39 @@ impl Boxes {
     fn about(corners_mm: &[[DVec3; 3]], triangles: impl Iterator<Item = usize>) -> Self {
         let low = corners_mm.iter().flatten().copied().fold(DVec3::INFINITY, DVec3::min);
         let high = corners_mm.iter().flatten().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
-        let mut boxes =
-            Self { tree: Bvh::new(), centre_mm: low.midpoint(high), per_mm: low.distance(high).recip() };
+        let (centre_mm, per_mm) = (low.midpoint(high), low.distance(high).recip());
+        let mut boxes = Self { tree: Bvh::new(), parts: Vec::new(), centre_mm, per_mm };
         let around = |corners: &[DVec3; 3]| {
             let [a, b, c] = corners.map(|p| boxes.place(p));
             let low = a.min(b).min(c) - Self::SLACK;
             let high = a.max(b).max(c) + Self::SLACK;
             Aabb::new(low.as_vec3(), high.as_vec3())
         };
-        let leaves: Vec<(usize, Aabb)> = triangles.map(|t| (t, around(&corners_mm[t]))).collect();
-        boxes.tree = Bvh::from_iter(BvhBuildStrategy::Binned, leaves);
+        let mut triangles: Vec<(u32, Aabb)> =
+            triangles.map(|t| (t as u32, around(&corners_mm[t]))).collect();
+        boxes.parts = Part::split(&mut triangles);
+        let of_parts = boxes.parts.iter().map(|part| part.tree.root_aabb()).enumerate();
+        boxes.tree = Bvh::from_iter(BvhBuildStrategy::Binned, of_parts);
         boxes
+    }
+
+    /// Tries the triangles in boxes whose `cost` is less than `most` and than all that `of_triangle` has found so far.
+    fn find_best(
+        &self,
+        most: f32,
+        cost: impl Fn(&BvhNode) -> f32,
+        of_triangle: impl Fn(u32) -> Option<f32>,
+    ) {
+        self.tree.find_best(
+            most,
+            |node, _| cost(node),
+            |part, most| {
+                let Part { tree, triangles } = &self.parts[part as usize];
+                let found =
+                    tree.find_best(most, |node, _| cost(node), |t, _| of_triangle(triangles[t as usize]));
+                found.map(|(_, cost)| cost)
+            },
+        );
     }
 
     fn place(&self, point_mm: DVec3) -> DVec3 {
