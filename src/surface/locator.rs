@@ -411,18 +411,17 @@ impl Ray {
     /// larger than what it holds by more than the rounding here.
     fn entry(&self, node: &BvhNode) -> f32 {
         let (low, high) = (node.mins().as_dvec3(), node.maxs().as_dvec3());
-        let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
-        for axis in 0..3 {
-            let (from, per) = (self.origin[axis], self.per[axis]);
-            if !per.is_finite() {
-                if !(low[axis]..=high[axis]).contains(&from) {
-                    return f32::INFINITY;
-                }
-                continue;
+        let (mut to_low, mut to_high) = ((low - self.origin) * self.per, (high - self.origin) * self.per);
+        if !self.per.is_finite() {
+            // Along an axis in which the ray does not move, it is between the planes all the way, or never.
+            for axis in (0..3).filter(|&axis| !self.per[axis].is_finite()) {
+                let is_between = (low[axis]..=high[axis]).contains(&self.origin[axis]);
+                let never = if is_between { f64::NEG_INFINITY } else { f64::INFINITY };
+                (to_low[axis], to_high[axis]) = (never, f64::INFINITY);
             }
-            let (a, b) = ((low[axis] - from) * per, (high[axis] - from) * per);
-            (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
         }
+        let enter = to_low.min(to_high).max_element().max(0.0);
+        let leave = to_low.max(to_high).min_element();
         if enter <= leave { enter as f32 } else { f32::INFINITY }
     }
 }
