@@ -68,7 +68,7 @@ if [ -x target/python/bin/python ]; then
   python=target/python/bin/python
   run "$python" -m pip install -q --disable-pip-version-check maturin pytest mypy pyvista trimesh playwright pillow markdown-it-py 'dask[distributed]'
   rm -rf target/wheels
-  run target/python/bin/maturin build --quiet --profile dev --manifest-path python/Cargo.toml -i "$python" -o target/wheels
+  run target/python/bin/maturin build --quiet --profile wheel --manifest-path python/Cargo.toml -i "$python" -o target/wheels
   run "$python" -m pip install -q --disable-pip-version-check --force-reinstall --no-deps target/wheels/*.whl
   run "$python" -m pytest -q python/tests
   run "$python" -m mypy.stubtest lumenmesh

@@ -56,9 +56,9 @@ pub(crate) fn huber_weight(sd: f64, size: f64) -> f64 {
     (HUBER * sd / size.max(f64::MIN_POSITIVE)).min(1.0)
 }
 
-/// Tukey's biweight of a residual in units of its cut-off, `|u| < 1`; residuals beyond have no weight.
+/// Tukey's biweight of a residual in units of its cut-off; residuals beyond it have no weight.
 pub(crate) fn tukey_weight(u: f64) -> f64 {
-    (1.0 - u * u).powi(2)
+    (1.0 - u * u).max(0.0).powi(2)
 }
 
 #[cfg(test)]
@@ -87,6 +87,6 @@ mod tests {
     fn weights_fall_with_the_residual() {
         assert_eq!([huber_weight(1.0, 0.0), huber_weight(1.0, 1.3)], [1.0; 2]);
         assert_eq!(huber_weight(2.0, 2.0 * 2.0 * HUBER), 0.5);
-        assert_eq!([tukey_weight(0.0), tukey_weight(1.0)], [1.0, 0.0]);
+        assert_eq!([0.0, 1.0, -2.0, 30.0].map(tukey_weight), [1.0, 0.0, 0.0, 0.0]);
     }
 }
