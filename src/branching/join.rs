@@ -13,6 +13,7 @@ use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 use std::f64::consts::{PI, TAU};
+use std::ops::Range;
 
 /// Rings whose wall is nearer than this to that of another tube, in edges, give way …
 const NEAR_EDGES: f64 = 2.0;
@@ -67,10 +68,15 @@ struct Zone {
 }
 
 /// Joins tubes. `inner_ends` says which tubes the first and the last ring of each lie in; `None` at an end of the vessel.
-pub(super) fn joined(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) -> Result<Joined> {
+/// `supported` has the nodes of each tube's grid.
+pub(super) fn joined(
+    tubes: &mut [Tube],
+    inner_ends: &[[Option<usize>; 2]],
+    supported: &[&[bool]],
+) -> Result<Joined> {
     trim(tubes, inner_ends);
     let tubes = &*tubes;
-    let zones = zones(tubes, inner_ends);
+    let zones = zones(tubes, inner_ends, supported);
     let partings = partings(&zones);
     let room = room(tubes, &zones);
     let patch_of = |members: &Vec<usize>| {
@@ -155,8 +161,48 @@ fn trim(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) {
     }
 }
 
-/// The rings of all tubes that come near another tube.
-fn zones(tubes: &[Tube], inner_ends: &[[Option<usize>; 2]]) -> Vec<Zone> {
+/// Lets rings give way that lie beside those that do, as far as each of them or one behind it has an unsupported node, if
+/// there is a supported one behind these and they are no more than `most`; between two that give way twice as many.
+fn extend(gives_way: &mut [bool], is_supported: &[bool], most: usize) {
+    let runs: Vec<Range<usize>> = {
+        let mut runs = Vec::new();
+        let mut k = 0;
+        for run in gives_way.chunk_by(|a, b| a == b) {
+            if !run[0] {
+                runs.push(k..k + run.len());
+            }
+            k += run.len();
+        }
+        runs
+    };
+    for run in runs {
+        let (after, before) = (run.start > 0, run.end < gives_way.len());
+        let lacks = |k: &usize| !is_supported[*k];
+        if after && before && run.len() <= 2 * most && run.clone().any(|k| lacks(&k)) {
+            gives_way[run].fill(true);
+            continue;
+        }
+        let has_support_beside = |k: usize, beside: Option<usize>| {
+            lacks(&k) && beside.is_some_and(|k| run.contains(&k) && !lacks(&k))
+        };
+        if after {
+            let within = run.start..(run.start + most).min(run.end);
+            if let Some(last) = within.rev().find(|&k| has_support_beside(k, Some(k + 1))) {
+                gives_way[run.start..=last].fill(true);
+            }
+        }
+        if before {
+            let mut within = run.end.saturating_sub(most).max(run.start)..run.end;
+            if let Some(first) = within.find(|&k| has_support_beside(k, k.checked_sub(1))) {
+                gives_way[first..run.end].fill(true);
+            }
+        }
+    }
+}
+
+/// The rings of all tubes that come near another tube, and those beside them that the echoes of their branch do not support:
+/// those of another branch may.
+fn zones(tubes: &[Tube], inner_ends: &[[Option<usize>; 2]], supported: &[&[bool]]) -> Vec<Zone> {
     let mut zones: Vec<Zone> = Vec::new();
     for (number, tube) in tubes.iter().enumerate() {
         let (first, last) = (*tube.rings.start(), *tube.rings.end());
@@ -186,9 +232,15 @@ fn zones(tubes: &[Tube], inner_ends: &[[Option<usize>; 2]]) -> Vec<Zone> {
                 meets
             })
             .collect();
+        let mut gives_way: Vec<bool> = meets.iter().map(|meets| !meets.is_empty()).collect();
+        let is_supported: Vec<bool> = (first..=last)
+            .map(|k| supported[number][k * tube.nodes..(k + 1) * tube.nodes].iter().all(|is| *is))
+            .collect();
+        let most = (tube.median_radius_mm() / tube.axis.step_mm) as usize;
+        extend(&mut gives_way, &is_supported, most);
         let mut k = first;
         while k <= last {
-            if meets[k - first].is_empty() {
+            if !gives_way[k - first] {
                 k += 1;
                 continue;
             }
@@ -196,7 +248,7 @@ fn zones(tubes: &[Tube], inner_ends: &[[Option<usize>; 2]]) -> Vec<Zone> {
             let mut end = k;
             // Short stretches between two zones belong to them.
             while let Some(next) =
-                (end + 1..=(end + 2 * BESIDE + 2).min(last)).rev().find(|&k| !meets[k - first].is_empty())
+                (end + 1..=(end + 2 * BESIDE + 2).min(last)).rev().find(|&k| gives_way[k - first])
             {
                 end = next;
             }
@@ -554,4 +606,32 @@ fn assembled(tubes: &[Tube], patches: Vec<Patch>) -> Joined {
         joined.surface.triangles.extend(triangles);
     }
     joined
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rings_without_support_beside_those_that_give_way_do_so_too() {
+        // x gives way, - lacks support.
+        let extended = |rings: &str| {
+            let mut gives_way: Vec<bool> = rings.chars().map(|c| c == 'x').collect();
+            let is_supported: Vec<bool> = rings.chars().map(|c| c != '-').collect();
+            extend(&mut gives_way, &is_supported, 3);
+            gives_way.into_iter().map(|gives_way| if gives_way { 'x' } else { '.' }).collect::<String>()
+        };
+        // Up to the support, also behind a ring that has some.
+        assert_eq!(extended("xx--+++++"), "xxxx.....");
+        assert_eq!(extended("xx+--++++"), "xxxxx....");
+        assert_eq!(extended("++++--xx"), "....xxxx");
+        // Too many, and none behind them: there the vessel ends.
+        assert_eq!(extended("xx----+++"), "xx.......");
+        assert_eq!(extended("xx---"), "xx...");
+        assert_eq!(extended("---xx"), "...xx");
+        // Between two that give way, of which each may take as many.
+        assert_eq!(extended("x--++-x"), "xxxxxxx");
+        assert_eq!(extended("x--++--+x"), "xxx..xxxx");
+        assert_eq!(extended("x+++x"), "x...x");
+    }
 }

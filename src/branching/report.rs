@@ -38,9 +38,9 @@ pub struct BranchesReport {
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct BranchReport {
-    /// The branch that it leaves, as a place in [`BranchesReport::branches`]; `None` for the first.
+    /// The branch from which it was entered, as a place in [`BranchesReport::branches`]; `None` for the first.
     pub parent: Option<usize>,
-    /// Where its middle leaves that of its parent, mm; `None` for the first.
+    /// Where it meets that, mm; `None` for the first.
     pub parting_mm: Option<DVec3>,
     /// Why it is taken for a branch.
     pub reason: String,
@@ -80,7 +80,7 @@ impl BranchesReport {
     ) -> Self {
         let branch = |(path, sweep): (&BranchPath, &Sweep)| BranchReport {
             parent: path.parent,
-            parting_mm: path.parting_mm(),
+            parting_mm: path.parting_mm,
             reason: path.reason(),
             sweep: sweep.report.clone(),
         };
@@ -143,9 +143,9 @@ pub struct CylinderBranchesReport {
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct CylinderBranchReport {
-    /// The branch that it leaves, as a place in [`CylinderBranchesReport::branches`]; `None` for the first.
+    /// The branch from which it was entered, as a place in [`CylinderBranchesReport::branches`]; `None` for the first.
     pub parent: Option<usize>,
-    /// Where its middle leaves that of its parent, mm; `None` for the first.
+    /// Where it meets that, mm; `None` for the first.
     pub parting_mm: Option<DVec3>,
     /// Why it is taken for a branch.
     pub reason: String,
@@ -168,7 +168,7 @@ impl CylinderBranchesReport {
         let branch =
             |((path, branch), axis): ((&BranchPath, &CylinderReconstruction), &Axis)| CylinderBranchReport {
                 parent: path.parent,
-                parting_mm: path.parting_mm(),
+                parting_mm: path.parting_mm,
                 reason: path.reason(),
                 length_mm: axis.points_mm.windows(2).map(|pair| pair[0].distance(pair[1])).sum(),
                 cylinders: branch.report.clone(),

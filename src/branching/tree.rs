@@ -27,8 +27,8 @@ const LEAST_DEPTH_RADII: f64 = 1.0;
 const LEAST_FRAMES: usize = 3;
 /// Directions at a parting are taken over this many lumen radii.
 const ARM_RADII: f64 = 2.5;
-/// Frames whose centres lie within this share of the lumen about the parent belong to the parent.
-const WITHIN_PARENT: f64 = 0.75;
+/// Frames whose centres lie within this share of the lumen about a branch belong to it rather than to branches that end there.
+const WITHIN_THROUGH: f64 = 0.75;
 /// What it costs, as a cosine, that neither of the two arms comes from the start of the recording.
 const AWAY_FROM_START: f64 = 0.5;
 
@@ -48,8 +48,10 @@ pub struct BranchTree {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct BranchPath {
-    /// The branch that it leaves, as a place in [`BranchTree::branches`]; `None` for the first.
+    /// The branch from which it was entered, as a place in [`BranchTree::branches`]; `None` for the first.
     pub parent: Option<usize>,
+    /// Where it meets that, mm; `None` for the first.
+    pub parting_mm: Option<DVec3>,
     /// The branches that its first and its last point lie in; `None` at an end of the vessel.
     pub joined: [Option<usize>; 2],
     /// Points of its middle, mm, coarsely.
@@ -159,22 +161,20 @@ impl BranchTree {
     }
 }
 
-/// The branch that a frame belongs to: the one whose middle is nearest in lumen radii, but the parent within its lumen.
+/// The branch that a frame belongs to: the one whose middle is nearest in lumen radii, but within the lumen of a branch that goes
+/// on where that ends, this branch.
 fn owner(branches: &[BranchPath], sight: &Sight) -> usize {
     let away: Vec<f64> = branches.iter().map(|branch| branch.radii_away(sight.centre_mm)).collect();
     let mut own = (0..branches.len()).fold(0, |best, k| if away[k] < away[best] { k } else { best });
-    while let Some(parent) = branches[own].parent.filter(|&p| away[p] < WITHIN_PARENT) {
-        own = parent;
+    let through =
+        |own: usize| branches[own].joined.into_iter().flatten().find(|&other| away[other] < WITHIN_THROUGH);
+    while let Some(other) = through(own) {
+        own = other;
     }
     own
 }
 
 impl BranchPath {
-    /// Where its middle leaves that of its parent, mm; `None` for the first.
-    pub(super) fn parting_mm(&self) -> Option<DVec3> {
-        self.parent.map(|_| self.middle_mm[0])
-    }
-
     /// Why it is taken for a branch.
     pub(super) fn reason(&self) -> String {
         match self.parent {
@@ -433,7 +433,7 @@ impl Tree {
                 done.insert((pair[1], pair[0]));
             }
             let number = branches.len();
-            branches.push(branch(clusters, &path, parent, &branches));
+            branches.push(branch(clusters, &path, parent.zip(parting), &branches));
             for &cluster in &path {
                 if self.links[cluster].len() > 2 {
                     for &arm in &self.links[cluster] {
@@ -525,8 +525,13 @@ impl Tree {
     }
 }
 
-/// A branch along clusters.
-fn branch(clusters: &Clusters, path: &[usize], parent: Option<usize>, earlier: &[BranchPath]) -> BranchPath {
+/// A branch along clusters, with its parent and the cluster where it meets that.
+fn branch(
+    clusters: &Clusters,
+    path: &[usize],
+    parent: Option<(usize, usize)>,
+    earlier: &[BranchPath],
+) -> BranchPath {
     let middle_mm: Vec<DVec3> = path.iter().map(|&k| clusters.centres_mm[k]).collect();
     let radii_mm: Vec<f64> = path.iter().map(|&k| clusters.all[k].radius_mm).collect();
     let beyond = |p: &DVec3| {
@@ -540,5 +545,6 @@ fn branch(clusters: &Clusters, path: &[usize], parent: Option<usize>, earlier: &
         Some(_) => middle_mm.iter().map(beyond).fold(0.0, f64::max),
         None => middle_mm.windows(2).map(|pair| pair[0].distance(pair[1])).sum(),
     };
-    BranchPath { parent, joined: [None; 2], middle_mm, radii_mm, depth_mm, frames: 0 }
+    let (parent, parting_mm) = parent.map(|(parent, parting)| (parent, clusters.centres_mm[parting])).unzip();
+    BranchPath { parent, parting_mm, joined: [None; 2], middle_mm, radii_mm, depth_mm, frames: 0 }
 }

@@ -311,12 +311,12 @@ fn print_frames(frames: usize, left_out: &[usize]) {
     }
 }
 
-/// Where a branch begins, and why it is taken for one.
+/// Where a branch was entered, and why it is taken for one.
 fn print_branch(number: usize, parent: Option<usize>, parting_mm: Option<DVec3>, reason: &str) {
     match (parent, parting_mm) {
         (Some(parent), Some(at)) => {
             println!(
-                "branch {number:<4}leaves branch {parent} at ({:.1}, {:.1}, {:.1}) mm",
+                "branch {number:<4}entered from branch {parent} at ({:.1}, {:.1}, {:.1}) mm",
                 at.x, at.y, at.z
             );
             println!("           {reason}");

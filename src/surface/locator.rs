@@ -351,8 +351,7 @@ impl Boxes {
             let high = a.max(b).max(c) + Self::SLACK;
             Aabb::new(low.as_vec3(), high.as_vec3())
         };
-        let mut triangles: Vec<(u32, Aabb)> =
-            triangles.map(|t| (t as u32, around(&corners_mm[t]))).collect();
+        let mut triangles: Vec<(u32, Aabb)> = triangles.map(|t| (t as u32, around(&corners_mm[t]))).collect();
         boxes.parts = Part::split(&mut triangles);
         let of_parts = boxes.parts.iter().map(|part| part.tree.root_aabb()).enumerate();
         boxes.tree = Bvh::from_iter(BvhBuildStrategy::Binned, of_parts);
@@ -360,12 +359,7 @@ impl Boxes {
     }
 
     /// Tries the triangles in boxes whose `cost` is less than `most` and than all that `of_triangle` has found so far.
-    fn find_best(
-        &self,
-        most: f32,
-        cost: impl Fn(&BvhNode) -> f32,
-        of_triangle: impl Fn(u32) -> Option<f32>,
-    ) {
+    fn find_best(&self, most: f32, cost: impl Fn(&BvhNode) -> f32, of_triangle: impl Fn(u32) -> Option<f32>) {
         self.tree.find_best(
             most,
             |node, _| cost(node),

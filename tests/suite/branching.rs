@@ -109,6 +109,47 @@ fn visited_branches_become_one_surface() {
     }
 }
 
+/// Where a catheter comes from a branch, as from the groin, frames about the parting belong to other branches than on the way
+/// into it. The wall there is supported all the same.
+#[test]
+fn wall_beside_a_parting_is_supported_by_the_echoes_of_all_branches() {
+    for (shape, visits) in [("bifurcation", &[0, 1][..]), ("side_branch", &[0, 1]), ("tree", &[0, 1, 2, 3])] {
+        let Simulation { recording, vessel, truth_recording, .. } =
+            visiting(shape, visits, Insertion::default());
+        let last_s = recording.frames.iter().filter_map(|frame| frame.time_s).fold(0.0, f64::max);
+        let turned = |frame: &Frame| frame.clone().with_time_s(frame.time_s.map(|t| last_s - t));
+        let mut reversed = recording.clone();
+        reversed.frames = recording.frames.iter().rev().map(turned).collect();
+        for (way, recording) in [("forth", &recording), ("back", &reversed)] {
+            let surface = swept(recording, Branches::Auto).surface();
+            let topology = surface.topology();
+            let found = [topology.components, topology.boundary_loops, topology.non_manifold_nodes];
+            assert_eq!(found, [1, visits.len() + 1, 0], "{shape} {way}: {topology:?}");
+            let mean_mm = mean_error_mm(&surface, vessel.surface());
+            let covered = coverage(&surface, &truth_recording);
+            println!("{shape} {way}: mean {mean_mm:.3} mm, coverage {covered:.4}");
+            assert!(mean_mm < 0.08 && covered > 0.97, "{shape} {way}: {mean_mm} mm, {covered}");
+        }
+    }
+}
+
+/// Echoes from anywhere, as of a bad segmentation, do not move the wall about a parting.
+#[test]
+fn echoes_far_off_the_wall_do_not_count_about_partings() {
+    let p95_mm = [0.0, 0.05].map(|spikes| {
+        let visits = vec![Visit::new(0, None), Visit::new(1, None)];
+        let settings = SimulationSettings::default()
+            .with_insertion(Insertion::default().with_visits(visits))
+            .with_noise(Noise::default().with_spike_probability(spikes));
+        let simulation = simulated("side_branch", &settings);
+        let lumen = swept(&simulation.recording, Branches::Auto);
+        let near_mm = near_partings_mm(&lumen, &lumen.surface(), simulation.vessel.surface());
+        near_mm[near_mm.len() * 95 / 100]
+    });
+    println!("95 % about the parting: {:.3} mm, with spikes {:.3} mm", p95_mm[0], p95_mm[1]);
+    assert!(p95_mm[1] < 1.5 * p95_mm[0], "{p95_mm:?}");
+}
+
 /// Recordings whose noisy walls lie close to each other, or touch, beside their partings.
 #[test]
 fn walls_that_touch_beside_a_parting_become_one_surface_without_holes_and_tunnels() {
@@ -397,7 +438,7 @@ fn the_command_names_the_branches() {
     };
     run(&["simulate", "--vessel", "side_branch", "--branches", "0,1", "--steady", "-o", "two.mat"]);
     let said = run(&["reconstruct", "two.mat", "-o", "two.vtp"]);
-    assert!(said.contains("sweep of 2 branches") && said.contains("leaves branch 0 at"), "{said}");
+    assert!(said.contains("sweep of 2 branches") && said.contains("entered from branch 0 at"), "{said}");
     let json = run(&["reconstruct", "two.mat", "-o", "two.vtp", "--json"]);
     let report: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(report["branches"].as_array().unwrap().len(), 2);
@@ -407,7 +448,7 @@ fn the_command_names_the_branches() {
     assert!(said.contains("method     sweep\n"), "{said}");
     let by_cylinders = ["reconstruct", "two.mat", "-o", "two.vtp", "--method", "cylinders"];
     let said = run(&[&by_cylinders[..], &["--cylinders", "cylinders.csv", "--axis", "axis.vtp"]].concat());
-    assert!(said.contains("cylinders in 2 branches") && said.contains("leaves branch 0 at"), "{said}");
+    assert!(said.contains("cylinders in 2 branches") && said.contains("entered from branch 0 at"), "{said}");
     let table = std::fs::read_to_string(folder.path().join("cylinders.csv")).unwrap();
     let frames: Vec<usize> =
         table.lines().skip(1).map(|line| line.split(',').next().unwrap().parse().unwrap()).collect();
