@@ -74,9 +74,9 @@ pub(super) fn joined(
     inner_ends: &[[Option<usize>; 2]],
     supported: &[&[bool]],
 ) -> Result<Joined> {
-    trim(tubes, inner_ends);
+    let narrowed = trim(tubes, inner_ends);
     let tubes = &*tubes;
-    let zones = zones(tubes, inner_ends, supported);
+    let zones = zones(tubes, inner_ends, &narrowed, supported);
     let partings = partings(&zones);
     let room = room(tubes, &zones);
     let patch_of = |members: &Vec<usize>| {
@@ -122,8 +122,9 @@ fn room(tubes: &[Tube], zones: &[Zone]) -> Vec<[usize; 2]> {
 }
 
 /// Drops the rings that lie deep inside other tubes: up to the outermost ring that is wholly inside. Where none is, the
-/// innermost rings are narrowed until they are.
-fn trim(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) {
+/// innermost rings are narrowed until they are. Gives the rings of each tube that were narrowed: no echo shows these.
+fn trim(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) -> Vec<Vec<usize>> {
+    let mut narrowed = vec![Vec::new(); tubes.len()];
     for number in 0..tubes.len() {
         for end in [0, 1] {
             let Some(other) = inner_ends[number][end] else { continue };
@@ -156,9 +157,11 @@ fn trim(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) {
                 let factor = share + (1.0 - share) * away as f64 / NARROWED as f64;
                 let nodes = ring * tube.nodes..(ring + 1) * tube.nodes;
                 tube.radii_mm.get_mut(nodes).into_iter().flatten().for_each(|radius| *radius *= factor);
+                narrowed[number].push(ring);
             }
         }
     }
+    narrowed
 }
 
 /// Lets rings give way that lie beside those that do, as far as each of them or one behind it has an unsupported node, if
@@ -200,9 +203,14 @@ fn extend(gives_way: &mut [bool], is_supported: &[bool], most: usize) {
     }
 }
 
-/// The rings of all tubes that come near another tube, and those beside them that the echoes of their branch do not support:
-/// those of another branch may.
-fn zones(tubes: &[Tube], inner_ends: &[[Option<usize>; 2]], supported: &[&[bool]]) -> Vec<Zone> {
+/// The rings of all tubes that come near another tube or were narrowed, and those beside them that the echoes of their branch do
+/// not support: those of another branch may.
+fn zones(
+    tubes: &[Tube],
+    inner_ends: &[[Option<usize>; 2]],
+    narrowed: &[Vec<usize>],
+    supported: &[&[bool]],
+) -> Vec<Zone> {
     let mut zones: Vec<Zone> = Vec::new();
     for (number, tube) in tubes.iter().enumerate() {
         let (first, last) = (*tube.rings.start(), *tube.rings.end());
@@ -233,6 +241,9 @@ fn zones(tubes: &[Tube], inner_ends: &[[Option<usize>; 2]], supported: &[&[bool]
             })
             .collect();
         let mut gives_way: Vec<bool> = meets.iter().map(|meets| !meets.is_empty()).collect();
+        for ring in narrowed[number].iter().filter(|ring| (first..=last).contains(*ring)) {
+            gives_way[ring - first] = true;
+        }
         let is_supported: Vec<bool> = (first..=last)
             .map(|k| supported[number][k * tube.nodes..(k + 1) * tube.nodes].iter().all(|is| *is))
             .collect();

@@ -150,6 +150,22 @@ fn echoes_far_off_the_wall_do_not_count_about_partings() {
     assert!(p95_mm[1] < 1.5 * p95_mm[0], "{p95_mm:?}");
 }
 
+/// Where a branch begins in another's lumen, its wall is narrowed until it lies within: that is no wall that was measured.
+#[test]
+fn no_narrowed_wall_is_shown() {
+    let visits = (0..4).map(|branch| Visit::new(branch, None)).collect();
+    let settings = SimulationSettings::default()
+        .with_insertion(Insertion::default().with_visits(visits))
+        .with_probe(Probe::default().with_rays(8))
+        .with_noise(Noise::default().with_seed(21));
+    let simulation = simulated("tree", &settings);
+    let surface = swept(&simulation.recording, Branches::Auto).surface();
+    let closest = Locator::new(simulation.vessel.surface()).unwrap().closest_all(&surface.nodes_mm);
+    let far = closest.iter().filter(|closest| closest.distance_mm > 1.0).count();
+    println!("{far} of {} nodes are more than 1 mm off", closest.len());
+    assert!(far * 100 < 3 * closest.len(), "{far} of {}", closest.len());
+}
+
 /// Recordings whose noisy walls lie close to each other, or touch, beside their partings.
 #[test]
 fn walls_that_touch_beside_a_parting_become_one_surface_without_holes_and_tunnels() {
