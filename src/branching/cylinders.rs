@@ -89,16 +89,16 @@ impl BranchedCylinders {
         }
         let inner_ends: Vec<[Option<usize>; 2]> = branches.iter().map(|branch| branch.inner_ends).collect();
         let mut tubes: Vec<Tube> = branches.iter().map(Branch::tube).collect();
-        let all: Vec<Vec<bool>> = tubes.iter().map(|tube| vec![true; tube.radii_mm.len()]).collect();
-        let all: Vec<&[bool]> = all.iter().map(|of| &of[..]).collect();
-        let mut joined = join::joined(&mut tubes, &inner_ends, &all).map_err(|error| match error {
-            Error::Surface { what, found, .. } => Error::Surface {
-                what: format!("joined branches: {what}"),
-                found,
-                expected: "branches that meet in one surface; with branches = off there is one tube".into(),
-            },
-            other => other,
-        })?;
+        let mut joined =
+            join::joined(&mut tubes, &inner_ends, &|_, _| true).map_err(|error| match error {
+                Error::Surface { what, found, .. } => Error::Surface {
+                    what: format!("joined branches: {what}"),
+                    found,
+                    expected: "branches that meet in one surface; with branches = off there is one tube"
+                        .into(),
+                },
+                other => other,
+            })?;
         let axes = tubes.iter().map(|tube| {
             let rings = tube.rings.clone();
             Axis {

@@ -68,15 +68,15 @@ struct Zone {
 }
 
 /// Joins tubes. `inner_ends` says which tubes the first and the last ring of each lie in; `None` at an end of the vessel.
-/// `supported` has the nodes of each tube's grid.
+/// `is_supported` says whether a tube's echoes support a node of its grid.
 pub(super) fn joined(
     tubes: &mut [Tube],
     inner_ends: &[[Option<usize>; 2]],
-    supported: &[&[bool]],
+    is_supported: &dyn Fn(usize, usize) -> bool,
 ) -> Result<Joined> {
     let narrowed = trim(tubes, inner_ends);
     let tubes = &*tubes;
-    let zones = zones(tubes, inner_ends, &narrowed, supported);
+    let zones = zones(tubes, inner_ends, &narrowed, is_supported);
     let partings = partings(&zones);
     let room = room(tubes, &zones);
     let patch_of = |members: &Vec<usize>| {
@@ -164,40 +164,35 @@ fn trim(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) -> Vec<Vec<usize>
     narrowed
 }
 
-/// Lets rings give way that lie beside those that do, as far as each of them or one behind it has an unsupported node, if
-/// there is a supported one behind these and they are no more than `most`; between two that give way twice as many.
-fn extend(gives_way: &mut [bool], is_supported: &[bool], most: usize) {
-    let runs: Vec<Range<usize>> = {
-        let mut runs = Vec::new();
-        let mut k = 0;
-        for run in gives_way.chunk_by(|a, b| a == b) {
-            if !run[0] {
-                runs.push(k..k + run.len());
-            }
-            k += run.len();
+/// Lets the rings beside those that give way do so too, up to the last of the next `most` that lacks support while the one behind
+/// it has it. Between two rings that give way all do, if one lacks support and they are at most twice as many.
+fn extend(gives_way: &mut [bool], has_support: &[bool], most: usize) {
+    let mut runs: Vec<Range<usize>> = Vec::new();
+    let mut start = 0;
+    for run in gives_way.chunk_by(|a, b| a == b) {
+        if !run[0] {
+            runs.push(start..start + run.len());
         }
-        runs
-    };
+        start += run.len();
+    }
     for run in runs {
         let (after, before) = (run.start > 0, run.end < gives_way.len());
-        let lacks = |k: &usize| !is_supported[*k];
-        if after && before && run.len() <= 2 * most && run.clone().any(|k| lacks(&k)) {
+        if after && before && run.len() <= 2 * most && has_support[run.clone()].contains(&false) {
             gives_way[run].fill(true);
             continue;
         }
-        let has_support_beside = |k: usize, beside: Option<usize>| {
-            lacks(&k) && beside.is_some_and(|k| run.contains(&k) && !lacks(&k))
-        };
+        let is_last =
+            |k: usize, behind: usize| run.contains(&behind) && !has_support[k] && has_support[behind];
         if after {
-            let within = run.start..(run.start + most).min(run.end);
-            if let Some(last) = within.rev().find(|&k| has_support_beside(k, Some(k + 1))) {
+            let mut near = (run.start..(run.start + most).min(run.end)).rev();
+            if let Some(last) = near.find(|&k| is_last(k, k + 1)) {
                 gives_way[run.start..=last].fill(true);
             }
         }
         if before {
-            let mut within = run.end.saturating_sub(most).max(run.start)..run.end;
-            if let Some(first) = within.find(|&k| has_support_beside(k, k.checked_sub(1))) {
-                gives_way[first..run.end].fill(true);
+            let mut near = run.end.saturating_sub(most).max(run.start)..run.end;
+            if let Some(last) = near.find(|&k| k > 0 && is_last(k, k - 1)) {
+                gives_way[last..run.end].fill(true);
             }
         }
     }
@@ -209,7 +204,7 @@ fn zones(
     tubes: &[Tube],
     inner_ends: &[[Option<usize>; 2]],
     narrowed: &[Vec<usize>],
-    supported: &[&[bool]],
+    is_supported: &dyn Fn(usize, usize) -> bool,
 ) -> Vec<Zone> {
     let mut zones: Vec<Zone> = Vec::new();
     for (number, tube) in tubes.iter().enumerate() {
@@ -244,11 +239,11 @@ fn zones(
         for ring in narrowed[number].iter().filter(|ring| (first..=last).contains(*ring)) {
             gives_way[ring - first] = true;
         }
-        let is_supported: Vec<bool> = (first..=last)
-            .map(|k| supported[number][k * tube.nodes..(k + 1) * tube.nodes].iter().all(|is| *is))
+        let has_support: Vec<bool> = (first..=last)
+            .map(|k| (k * tube.nodes..(k + 1) * tube.nodes).all(|node| is_supported(number, node)))
             .collect();
         let most = (tube.median_radius_mm() / tube.axis.step_mm) as usize;
-        extend(&mut gives_way, &is_supported, most);
+        extend(&mut gives_way, &has_support, most);
         let mut k = first;
         while k <= last {
             if !gives_way[k - first] {
@@ -628,8 +623,8 @@ mod tests {
         // x gives way, - lacks support.
         let extended = |rings: &str| {
             let mut gives_way: Vec<bool> = rings.chars().map(|c| c == 'x').collect();
-            let is_supported: Vec<bool> = rings.chars().map(|c| c != '-').collect();
-            extend(&mut gives_way, &is_supported, 3);
+            let has_support: Vec<bool> = rings.chars().map(|c| c != '-').collect();
+            extend(&mut gives_way, &has_support, 3);
             gives_way.into_iter().map(|gives_way| if gives_way { 'x' } else { '.' }).collect::<String>()
         };
         // Up to the support, also behind a ring that has some.

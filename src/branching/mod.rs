@@ -108,8 +108,8 @@ impl BranchedSweep {
             .zip(&sweeps)
             .map(|(branch, sweep)| branch.joined_along(&sweep.axis))
             .collect();
-        let supported: Vec<&[bool]> = sweeps.iter().map(|sweep| &sweep.support.supported[..]).collect();
-        let mut joined = join::joined(&mut tubes, &inner_ends, &supported)?;
+        let is_supported = |tube: usize, node: usize| sweeps[tube].support.supported[node];
+        let mut joined = join::joined(&mut tubes, &inner_ends, &is_supported)?;
         let join_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let fits: Vec<TubeFit> = sweeps.iter().map(tube_fit).collect();

@@ -352,7 +352,7 @@ fn drop_entered(wall: &Wall, caster: &RayCaster, sights: &[Sight], suspects: &mu
     suspects.retain(|suspect| {
         let nodes: BTreeSet<u32> = suspect.nodes.iter().copied().collect();
         let radius_mm = suspect.radius_mm();
-        let is_behind = |origin_mm: &&DVec3| -> bool {
+        let is_behind = |origin_mm: &&DVec3| {
             let inward = -suspect.outward;
             caster.cast(**origin_mm, inward, BEHIND_RADII[1] * radius_mm).is_some_and(
                 |(triangle, distance_mm)| {

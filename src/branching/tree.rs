@@ -161,8 +161,8 @@ impl BranchTree {
     }
 }
 
-/// The branch that a frame belongs to: the one whose middle is nearest in lumen radii, but within the lumen of a branch that goes
-/// on where that ends, this branch.
+/// The branch that a frame belongs to: the one whose middle is nearest in lumen radii. Where that ends at another branch, which
+/// goes on there, frames within the lumen of the latter belong to it.
 fn owner(branches: &[BranchPath], sight: &Sight) -> usize {
     let away: Vec<f64> = branches.iter().map(|branch| branch.radii_away(sight.centre_mm)).collect();
     let mut own = (0..branches.len()).fold(0, |best, k| if away[k] < away[best] { k } else { best });

@@ -410,8 +410,8 @@ impl Ray {
             // Along an axis in which the ray does not move, it is between the planes all the way, or never.
             for axis in (0..3).filter(|&axis| !self.per[axis].is_finite()) {
                 let is_between = (low[axis]..=high[axis]).contains(&self.origin[axis]);
-                let never = if is_between { f64::NEG_INFINITY } else { f64::INFINITY };
-                (to_low[axis], to_high[axis]) = (never, f64::INFINITY);
+                let from = if is_between { f64::NEG_INFINITY } else { f64::INFINITY };
+                (to_low[axis], to_high[axis]) = (from, f64::INFINITY);
             }
         }
         let enter = to_low.min(to_high).max_element().max(0.0);
@@ -508,5 +508,33 @@ mod tests {
             }
         }
         assert!(met > 30, "{met}");
+    }
+
+    /// More triangles than one part has, and small ones, so that parts are apart.
+    #[test]
+    fn what_lies_in_several_parts_is_found_as_in_one_list() {
+        let mut surface = triangles(3 * Part::MOST as u32);
+        surface.triangles.truncate(3 * Part::MOST);
+        for corners in surface.nodes_mm.chunks_exact_mut(3) {
+            let at = corners[0];
+            corners[1..].iter_mut().for_each(|p| *p = at + 0.03 * (*p - at));
+        }
+        let locator = Locator::new(&surface).unwrap();
+        assert!(locator.triangles.boxes.parts.len() >= 4);
+        let mut met = 0;
+        for k in 0..40 {
+            let (sin, cos) = (f64::from(k) * 0.7).sin_cos();
+            let (origin, direction) =
+                (DVec3::new(0.9 * cos, 0.9 * sin, 0.02 * f64::from(k)), DVec3::new(-sin, cos, 0.0));
+            let all = || 0..surface.triangles.len();
+            let meets = |t| Some((ray_meets(origin, direction, surface.corners_mm(t))?, t as u32));
+            let first = all().filter_map(meets).min_by(|a, b| a.0.total_cmp(&b.0));
+            met += usize::from(first.is_some());
+            assert_eq!(locator.cast(origin, direction, 9.0), first.map(|(distance, t)| (t, distance)));
+            let distance = |t| origin.distance(closest_on_triangle(origin, surface.corners_mm(t)).0);
+            let least = all().map(distance).fold(f64::INFINITY, f64::min);
+            assert_eq!(locator.closest(origin).distance_mm, least);
+        }
+        assert!(met > 10, "{met}");
     }
 }
