@@ -71,12 +71,16 @@ fn measure(frames: &[Frame], ahead: usize, rate_hz: f64, method: Method) {
     stream.set_nodelay(true).unwrap();
     let asked = Message::new("bench", Timestamp::now(), Content::GetStatus).with_version(2);
     (&viewer).write_all(&asked.encode().unwrap()).unwrap();
+    let mut reader = MessageReader::new(std::io::BufReader::with_capacity(1 << 16, viewer));
+    // Before the server has read the request it answers in version 1, which has no `FrameTime`.
+    while reader.version() < Some(2) {
+        assert!(matches!(reader.step(), Step::Message(_)), "the request is answered");
+    }
     let begun = Arc::new(Mutex::new(Vec::new()));
     let answered = Arc::new(AtomicUsize::new(0));
     let receiving = thread::spawn({
         let (begun, answered) = (Arc::clone(&begun), Arc::clone(&answered));
         move || {
-            let mut reader = MessageReader::new(std::io::BufReader::with_capacity(1 << 16, viewer));
             let (mut tips, mut vessels, mut bytes, mut last) = (Vec::new(), Vec::new(), 0, None);
             while let Step::Message(message) = reader.step() {
                 let now = Instant::now();
@@ -113,6 +117,7 @@ fn measure(frames: &[Frame], ahead: usize, rate_hz: f64, method: Method) {
             if k == ahead {
                 // What came at once is done first.
                 while answered.load(Ordering::Relaxed) + 1 < ahead {
+                    assert!(!receiving.is_finished() && !computing.is_finished(), "no more answers come");
                     thread::sleep(Duration::from_millis(20));
                 }
                 due = Instant::now();
