@@ -75,10 +75,11 @@ const LOBES_SD: f64 = 0.05;
 /// Most steps of a fit, and the relative change of its cost that ends it.
 const MAX_STEPS: usize = 40;
 const ENOUGH: f64 = 1e-5;
-/// Most echoes that suspects are looked for in at first, and then, and that a tube is fitted to: of more, every second one and so
-/// on.
+/// Most echoes that suspects are looked for in at first, and then about those that are found, so many lumen radii away; and that a
+/// tube is fitted to: of more, every second one and so on.
 const FEW_SIGHTS: usize = 30_000;
 const MOST_SIGHTS: usize = 200_000;
+const ABOUT_RADII: f64 = 8.0;
 const MOST_ECHOES: usize = 8000;
 /// Echoes of the wall, and of the branch, that tell which of several directions are the likeliest, and how many of these are
 /// tried with all echoes.
@@ -179,13 +180,19 @@ pub(super) fn flattened(tube: &Tube, lumen_mm: f64, noise_mm: f64) -> Vec<(f64, 
 /// Finds the mouths in a wall; gives each with the nodes of the wall within its rim.
 pub(super) fn find(wall: &Wall, echoes: &WorldEchoes) -> Result<Vec<(Mouth, Vec<u32>)>> {
     let neighbours = wall.surface.neighbours();
-    // Most vessels have no mouth: a part of the echoes says so.
+    // Most of a vessel has no mouth: a part of the echoes says so.
     let caster = RayCaster::new(wall.surface)?;
     let few = sights(wall, &caster, &echoes.at_most(FEW_SIGHTS));
-    if suspects(wall, &few, &neighbours).is_empty() {
+    let places: Vec<(DVec3, f64)> = suspects(wall, &few, &neighbours)
+        .iter()
+        .map(|suspect| (suspect.centre_mm, ABOUT_RADII * wall.radius_mm[suspect.branch]))
+        .collect();
+    if places.is_empty() {
         return Ok(Vec::new());
     }
-    let sights = sights(wall, &caster, &echoes.at_most(MOST_SIGHTS));
+    let mut more = echoes.at_most(MOST_SIGHTS);
+    more.retain(|echo| places.iter().any(|(place, reach_mm)| echo.point_mm.distance(*place) < *reach_mm));
+    let sights = sights(wall, &caster, &more);
     let mut suspects = suspects(wall, &sights, &neighbours);
     drop_entered(wall, &caster, &sights, &mut suspects);
     if suspects.is_empty() {

@@ -190,7 +190,17 @@ impl Mesh {
 
     /// All edges, each once, its nodes in ascending order.
     fn edges(&self) -> Vec<[u32; 2]> {
-        edges_of(self.triangles.iter())
+        let mut edges = Vec::with_capacity(self.triangles.len() * 3 / 2);
+        let mut others: Vec<u32> = Vec::new();
+        for (node, about) in (0..).zip(&self.about) {
+            let corners = about.iter().flat_map(|&t| self.triangles[t as usize]);
+            others.clear();
+            others.extend(corners.filter(|&n| n > node));
+            others.sort_unstable();
+            others.dedup();
+            edges.extend(others.iter().map(|&other| [node, other]));
+        }
+        edges
     }
 
     fn at(&self, node: u32) -> DVec3 {
@@ -207,9 +217,9 @@ impl Mesh {
     }
 
     /// The triangles at an edge.
-    fn beside(&self, a: u32, b: u32) -> Vec<u32> {
-        let has_b = |t: &u32| self.triangles[*t as usize].contains(&b);
-        self.about[a as usize].iter().copied().filter(has_b).collect()
+    fn beside(&self, a: u32, b: u32) -> impl Iterator<Item = u32> + '_ {
+        let has_b = move |t: &u32| self.triangles[*t as usize].contains(&b);
+        self.about[a as usize].iter().copied().filter(has_b)
     }
 
     /// The corner of a triangle that is neither of the two.
@@ -228,9 +238,8 @@ impl Mesh {
 
     /// The patches that meet at an edge, in ascending order, where they are two.
     fn seam(&self, a: u32, b: u32) -> Option<[u32; 2]> {
-        let beside = self.beside(a, b);
         let mut patches = [NOTHING; 2];
-        beside.iter().take(2).zip(&mut patches).for_each(|(&t, patch)| *patch = self.patch[t as usize]);
+        self.beside(a, b).zip(&mut patches).for_each(|(t, patch)| *patch = self.patch[t as usize]);
         patches.sort_unstable();
         (patches[0] != patches[1]).then_some(patches)
     }
@@ -276,7 +285,7 @@ impl Mesh {
 
     fn split(&mut self, a: u32, b: u32) {
         let middle = self.nodes_mm.len() as u32;
-        let beside = self.beside(a, b);
+        let beside: Vec<u32> = self.beside(a, b).collect();
         self.place.push(if self.seam(a, b).is_some() { Place::Seam } else { Place::Inside });
         self.nodes_mm.push(0.5 * (self.at(a) + self.at(b)));
         self.edge_mm.push(self.wanted([a, b]));
@@ -302,7 +311,7 @@ impl Mesh {
         let mut short: Vec<[u32; 2]> = self.edges().into_iter().filter(is_short).collect();
         short.sort_by(|p, q| self.length(*p).total_cmp(&self.length(*q)).then(p.cmp(q)));
         for edge in short {
-            let is_alive = !self.beside(edge[0], edge[1]).is_empty();
+            let is_alive = self.beside(edge[0], edge[1]).next().is_some();
             if is_alive && self.length(edge) < SHORTEST * self.wanted(edge) {
                 self.collapse(edge, LONGEST);
             }
@@ -325,7 +334,7 @@ impl Mesh {
             (Place::Seam, Place::Corner | Place::Fixed) if on_seam => self.at(kept),
             _ => return false,
         };
-        let beside = self.beside(gone, kept);
+        let beside: Vec<u32> = self.beside(gone, kept).collect();
         let mut opposite: Vec<u32> = beside.iter().map(|&t| self.opposite(t, gone, kept)).collect();
         opposite.sort_unstable();
         let (of_gone, of_kept) = (self.neighbours(gone), self.neighbours(kept));
@@ -376,8 +385,9 @@ impl Mesh {
     /// Joins the two other corners at an edge instead, where Delaunay's criterion asks for it: opposite angles that add up to
     /// more than 180°. Returns the two triangles where it does.
     fn flip(&mut self, a: u32, b: u32) -> Option<[u32; 2]> {
-        let beside = self.beside(a, b);
-        let &[s, t] = &beside[..] else { return None };
+        let mut beside = self.beside(a, b);
+        let [Some(s), Some(t), None] = [(); 3].map(|()| beside.next()) else { return None };
+        drop(beside);
         if self.patch[s as usize] != self.patch[t as usize] {
             return None;
         }
@@ -390,7 +400,7 @@ impl Mesh {
         let cotangent = |u: DVec3, v: DVec3| u.dot(v) / u.cross(v).length();
         let sum = cotangent(at_a - at_c, at_b - at_c) + cotangent(at_a - at_d, at_b - at_d);
         // A small margin: nodes on one circle flip no end otherwise.
-        if sum.is_nan() || sum >= -1e-6 || c == d || !self.beside(c, d).is_empty() {
+        if sum.is_nan() || sum >= -1e-6 || c == d || self.beside(c, d).next().is_some() {
             return None;
         }
         let old = [first, second].map(|t| self.normal_of(self.triangles[t as usize]));
@@ -475,8 +485,8 @@ impl Mesh {
 /// The edges of triangles, each once, its nodes in ascending order.
 fn edges_of<'a>(triangles: impl Iterator<Item = &'a [u32; 3]>) -> Vec<[u32; 2]> {
     let of = |&[a, b, c]: &[u32; 3]| [[a, b], [b, c], [c, a]].map(|[a, b]| [a.min(b), a.max(b)]);
-    let mut edges: Vec<[u32; 2]> = triangles.filter(|t| **t != GONE).flat_map(of).collect();
-    edges.par_sort_unstable();
+    let mut edges: Vec<[u32; 2]> = triangles.flat_map(of).collect();
+    edges.sort_unstable();
     edges.dedup();
     edges
 }

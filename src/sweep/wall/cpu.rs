@@ -29,18 +29,24 @@ impl<'a> CpuWallEngine<'a> {
             .map(|task| {
                 let mut sums = Equations::about(grid, task);
                 let model = wall.residual_model(grid);
-                for echo in task {
-                    let (ring, node) = echo.projection();
-                    let measured = model.measure(echo, false);
-                    let residual = echo.residual_mm.abs();
-                    if !warm_up && residual > gate(wall.noise_mm, measured.wall_mm) {
-                        continue;
-                    }
-                    let corners = grid.corners(ring, node);
-                    let weight =
-                        huber_weight(wall.noise_mm, residual) * measured.weight * f64::from(echo.weight);
-                    sums.add(&corners, weight, measured.wall_mm + measured.radial_mm);
-                }
+                pulp::Arch::new().dispatch(
+                    #[inline(always)]
+                    || {
+                        for echo in task {
+                            let (ring, node) = echo.projection();
+                            let measured = model.measure(echo, false);
+                            let residual = echo.residual_mm.abs();
+                            if !warm_up && residual > gate(wall.noise_mm, measured.wall_mm) {
+                                continue;
+                            }
+                            let corners = grid.corners(ring, node);
+                            let weight = huber_weight(wall.noise_mm, residual)
+                                * measured.weight
+                                * f64::from(echo.weight);
+                            sums.add(&corners, weight, measured.wall_mm + measured.radial_mm);
+                        }
+                    },
+                );
                 sums
             })
             .collect();

@@ -89,7 +89,7 @@ pub(in crate::sweep) fn fit(
             let cpu_seconds = USUAL_ITERATIONS * (of_echoes + of_nodes) / rayon::current_num_threads() as f64;
             if cpu_seconds < WORTH_A_DEVICE_S {
                 let why = format!(
-                    "the work is about {} ms on the CPU, less than starting a device takes",
+                    "fitting the wall takes about {} ms on the CPU, less than starting a device takes",
                     (cpu_seconds * 1e3).ceil()
                 );
                 return fit_on_cpu(grid, echoes, Some(why));
@@ -101,7 +101,7 @@ pub(in crate::sweep) fn fit(
                 Err(reason) => reason.to_string(),
                 Ok(engine) => match device.fit(&engine, grid, echoes, settings, checkpoint) {
                     Ok(wall) => {
-                        let why = format!("the work is about {cpu_seconds:.1} s on the CPU");
+                        let why = format!("fitting the wall takes about {cpu_seconds:.1} s on the CPU");
                         return Ok((wall, EngineDescription { why: Some(why), ..engine.describe() }));
                     }
                     Err(Error::Cancelled) => return Err(Error::Cancelled),

@@ -42,20 +42,20 @@ impl Equations {
     }
 
     /// Adds a point: `weight · (x(corners) - value)²`.
+    #[inline(always)]
     pub(in crate::sweep) fn add(&mut self, corners: &Corners, weight: f64, value: f64) {
-        let [a, m, c] = corners.nodes.map(|n| n - self.first);
         let [p, q, r] = corners.weights;
+        let [of_p, of_q, of_r] = corners.weights.map(|share| weight * share);
+        let (pq, qr) = (of_p * q, of_q * r);
         // a couples to b along the ring or to a' across; b to b' across, a' to b' along; a to b' always.
-        let (from_a, to_c) = if corners.bottom { (1, 2) } else { (2, 1) };
-        self.rows[a][0] += weight * p * p;
-        self.rows[m][0] += weight * q * q;
-        self.rows[c][0] += weight * r * r;
-        self.rows[a][from_a] += weight * p * q;
-        self.rows[m][to_c] += weight * q * r;
-        self.rows[a][3] += weight * p * r;
-        self.rows[a][4] += weight * p * value;
-        self.rows[m][4] += weight * q * value;
-        self.rows[c][4] += weight * r * value;
+        let (of_a, of_m) = match corners.bottom {
+            true => ([of_p * p, pq, 0.0, of_p * r, of_p * value], [of_q * q, 0.0, qr, 0.0, of_q * value]),
+            false => ([of_p * p, 0.0, pq, of_p * r, of_p * value], [of_q * q, qr, 0.0, 0.0, of_q * value]),
+        };
+        let of_c = [of_r * r, 0.0, 0.0, 0.0, of_r * value];
+        for (node, sums) in corners.nodes.into_iter().zip([of_a, of_m, of_c]) {
+            self.rows[node - self.first].iter_mut().zip(sums).for_each(|(row, sum)| *row += sum);
+        }
     }
 
     /// Adds the sums of other points on the nodes that are covered here.

@@ -5,7 +5,8 @@
 //! the bending alone determines (A. Brandt, *Multi-level adaptive solutions to boundary-value problems*, Mathematics of
 //! Computation 31, 1977; W. L. Briggs, V. E. Henson, S. F. McCormick, *A Multigrid Tutorial*, 2000).
 
-use super::operator::{Operator, for_each, split, with_windows};
+use super::operator::{Operator, Windows, for_each, split, with_windows};
+use crate::numerics::Scalar;
 use crate::numerics::banded::{Banded, BandedFactor};
 use crate::sweep::prepare::grid::WallGrid;
 use rayon::prelude::*;
@@ -26,27 +27,35 @@ const FLOOR: f64 = 1e-12;
 const TASK_NODES: usize = 2048;
 
 /// The grids, from the finest on.
-pub(super) struct Multigrid<'a> {
-    finest: &'a Operator,
-    coarser: Vec<Operator>,
-    /// Inverse diagonals, and the way to the next coarser grid, of all but the coarsest.
-    inverses: Vec<Vec<f64>>,
-    transfers: Vec<Transfer>,
+///
+/// The cycle computes in f32: it need not be exact, and half the bytes go twice as fast.
+pub(super) struct Multigrid {
+    /// All grids but the coarsest.
+    levels: Vec<Level>,
+    coarsest: WallGrid,
     factored: BandedFactor,
 }
 
-/// Vectors of one level: right-hand side and values, but on the finest grid, and the values on the way down.
-pub(super) struct Room {
-    right: Vec<f64>,
-    values: Vec<f64>,
-    before: Vec<f64>,
+/// A grid that is relaxed on.
+struct Level {
+    operator: Operator<f32>,
+    inverse_diagonal: Vec<f32>,
+    /// The way to the next coarser grid, and its shape.
+    transfer: Transfer<f32>,
+    coarser: WallGrid,
 }
 
-impl<'a> Multigrid<'a> {
+/// Vectors of one grid: right-hand side, values on the way down, and values at the end.
+pub(super) struct Room {
+    right: Vec<f32>,
+    before: Vec<f32>,
+    values: Vec<f32>,
+}
+
+impl Multigrid {
     /// `None` where the matrix is not positive definite.
-    pub(super) fn of(finest: &'a Operator) -> Option<Self> {
+    pub(super) fn of(finest: &Operator) -> Option<Self> {
         let mut coarser: Vec<Operator> = Vec::new();
-        let mut transfers = Vec::new();
         let mut weights = finest.lumped_weights();
         loop {
             let operator = coarser.last().unwrap_or(finest);
@@ -54,69 +63,76 @@ impl<'a> Multigrid<'a> {
                 break;
             }
             let grid = coarsened(&operator.grid);
-            let transfer = Transfer::between(&operator.grid, &grid);
             let mut fewer = vec![0.0; grid.node_count()];
-            transfer.restrict(&weights, &mut fewer);
+            Transfer::between(&operator.grid, &grid).restrict(&weights, &mut fewer);
             let local = operator.local().resampled(operator.grid.rings, grid.rings);
             let next = Operator::lumped(&grid, fewer.clone(), operator.smoothness_mm2, local);
             weights = fewer;
-            transfers.push(transfer);
             coarser.push(next);
         }
         let coarsest = coarser.last().unwrap_or(finest);
-        let inverse = |level: usize| {
-            let operator = if level == 0 { finest } else { &coarser[level - 1] };
-            operator.diagonal().into_par_iter().with_min_len(TASK_NODES).map(f64::recip).collect()
+        let level = |(operator, coarser): (&Operator, &Operator)| {
+            let diagonal = operator.diagonal();
+            let inverse = diagonal.par_iter().with_min_len(TASK_NODES).map(|x| x.recip() as f32);
+            Level {
+                inverse_diagonal: inverse.collect(),
+                operator: operator.rounded(),
+                transfer: Transfer::between(&operator.grid, &coarser.grid),
+                coarser: coarser.grid,
+            }
         };
-        let (factored, inverses) = rayon::join(
-            || factored(coarsest, &weights),
-            || (0..transfers.len()).into_par_iter().map(inverse).collect(),
-        );
-        Some(Self { finest, factored: factored?, coarser, inverses, transfers })
+        let levels: Vec<_> = std::iter::once(finest).chain(&coarser).zip(&coarser).collect();
+        let (factored, levels) =
+            rayon::join(|| factored(coarsest, &weights), || levels.into_par_iter().map(level).collect());
+        Some(Self { levels, coarsest: coarsest.grid, factored: factored? })
     }
 
     /// Room for [`precondition`](Self::precondition).
     pub(super) fn room(&self) -> Vec<Room> {
-        let zeros = |operator: &Operator| vec![0.0; operator.grid.node_count()];
-        let finest = Room { right: Vec::new(), values: Vec::new(), before: zeros(self.finest) };
-        let coarser =
-            self.coarser.iter().map(|o| Room { right: zeros(o), values: zeros(o), before: zeros(o) });
-        std::iter::once(finest).chain(coarser).collect()
+        let of_grid = |grid: &WallGrid| {
+            let zeros = || vec![0.0; grid.node_count()];
+            Room { right: zeros(), before: zeros(), values: zeros() }
+        };
+        let relaxed = self.levels.iter().map(|level| of_grid(&level.operator.grid));
+        relaxed.chain([of_grid(&self.coarsest)]).collect()
     }
 
     /// An approximate solution for `right`.
-    pub(super) fn precondition(&self, right: &[f64], values: &mut [f64], room: &mut [Room]) {
-        self.cycle(0, right, values, room);
+    pub(super) fn precondition<'r>(&self, right: &[f64], room: &'r mut [Room]) -> &'r [f32] {
+        let rounded = &mut room[0].right;
+        let pairs = rounded.par_iter_mut().with_min_len(TASK_NODES).zip(right);
+        pairs.for_each(|(rounded, right)| *rounded = *right as f32);
+        self.cycle(0, room);
+        Self::found(room)
     }
 
-    fn cycle(&self, level: usize, right: &[f64], values: &mut [f64], room: &mut [Room]) {
-        if self.transfers.get(level).is_none() {
-            values.copy_from_slice(right);
-            self.factored.solve(values);
+    /// What [`precondition`](Self::precondition) found last.
+    pub(super) fn found(room: &[Room]) -> &[f32] {
+        &room[0].values
+    }
+
+    fn cycle(&self, level: usize, room: &mut [Room]) {
+        let [here, coarser @ ..] = room else { return };
+        let Some(of_level) = self.levels.get(level) else {
+            let mut values: Vec<f64> = here.right.iter().map(|x| f64::from(*x)).collect();
+            self.factored.solve(&mut values);
+            here.values.iter_mut().zip(values).for_each(|(rounded, value)| *rounded = value as f32);
             return;
-        }
-        let (here, coarser) = room.split_at_mut(1);
-        let before = &mut here[0].before;
-        let (mut right_there, mut there) =
-            (std::mem::take(&mut coarser[0].right), std::mem::take(&mut coarser[0].values));
-        self.descend(level, right, before, &mut right_there);
-        self.cycle(level + 1, &right_there, &mut there, coarser);
-        self.ascend(level, right, before, &there, values);
-        (coarser[0].right, coarser[0].values) = (right_there, there);
+        };
+        of_level.descend(&here.right, &mut here.before, &mut coarser[0].right);
+        self.cycle(level + 1, coarser);
+        of_level.ascend(&here.right, &here.before, &coarser[0].values, &mut here.values);
     }
+}
 
-    fn operator(&self, level: usize) -> &Operator {
-        if level == 0 { self.finest } else { &self.coarser[level - 1] }
-    }
-
+impl Level {
     /// Two relaxations from zero, and the residual on the next coarser grid. A task does all of it for some rings, and once
     /// more for those beside them that its own depend on: threads meet once, not four times.
-    fn descend(&self, level: usize, right: &[f64], values: &mut [f64], right_there: &mut [f64]) {
-        let (operator, inverse) = (self.operator(level), &self.inverses[level]);
-        let (grid, there) = (&operator.grid, &self.operator(level + 1).grid);
-        let transfer = &self.transfers[level];
+    fn descend(&self, right: &[f32], values: &mut [f32], right_there: &mut [f32]) {
+        let Self { operator, inverse_diagonal: inverse, transfer, coarser: there } = self;
+        let grid = &operator.grid;
         let nodes = grid.nodes;
-        let [first, second] = RELAXATIONS;
+        let [first, second] = RELAXATIONS.map(|weight| weight as f32);
         let fine: Vec<Range<usize>> = grid.bands();
         let starts: Vec<usize> = fine.iter().map(|band| transfer.rings.first_from(band.start)).collect();
         let ends = starts.iter().skip(1).copied().chain([there.rings]);
@@ -127,7 +143,7 @@ impl<'a> Multigrid<'a> {
         for_each(tasks, |((fine, coarse), (values, right_there))| {
             with_windows(
                 #[inline(always)]
-                |[a, b]| {
+                |Windows { rounded: [a, b], .. }| {
                     let needed = transfer.rings.needed_for(coarse.clone(), &fine);
                     a.fill(
                         nodes,
@@ -171,18 +187,17 @@ impl<'a> Multigrid<'a> {
     }
 
     /// The correction by the next coarser grid, and two relaxations; `before` are the values on the way down.
-    fn ascend(&self, level: usize, right: &[f64], before: &[f64], coarse: &[f64], values: &mut [f64]) {
-        let (operator, inverse, transfer) =
-            (self.operator(level), &self.inverses[level], &self.transfers[level]);
+    fn ascend(&self, right: &[f32], before: &[f32], coarse: &[f32], values: &mut [f32]) {
+        let Self { operator, inverse_diagonal: inverse, transfer, .. } = self;
         let grid = &operator.grid;
         let nodes = grid.nodes;
-        let [first, second] = RELAXATIONS;
+        let [first, second] = RELAXATIONS.map(|weight| weight as f32);
         let bands = grid.bands();
         let values = split(values, nodes, bands.iter().cloned());
         for_each(bands.into_iter().zip(values).collect(), |(band, values)| {
             with_windows(
                 #[inline(always)]
-                |[a, b]| {
+                |Windows { rounded: [a, b], .. }| {
                     let mut between = vec![0.0; transfer.nodes.to_coarse.len()];
                     a.fill(
                         nodes,
@@ -242,12 +257,12 @@ fn factored(operator: &Operator, weights: &[f64]) -> Option<BandedFactor> {
 }
 
 /// Linear interpolation from a coarser grid, and its transpose.
-struct Transfer {
-    rings: Interpolation,
-    nodes: Interpolation,
+struct Transfer<T> {
+    rings: Interpolation<T>,
+    nodes: Interpolation<T>,
 }
 
-impl Transfer {
+impl<T: Scalar> Transfer<T> {
     fn between(fine: &WallGrid, coarse: &WallGrid) -> Self {
         Self {
             rings: Interpolation::new(fine.rings, coarse.rings, false),
@@ -256,65 +271,57 @@ impl Transfer {
     }
 
     /// The transpose of interpolation: every node's value, shared out among the coarser nodes about it.
-    fn restrict(&self, fine: &[f64], coarse: &mut [f64]) {
+    fn restrict(&self, fine: &[T], coarse: &mut [T]) {
         let (wide, narrow) = (self.nodes.to_fine.len(), self.nodes.to_coarse.len());
         let tasks = coarse.par_chunks_mut(narrow).with_min_len(TASK_NODES.div_ceil(wide)).enumerate();
         tasks.for_each_init(
-            || vec![0.0; wide],
+            || vec![T::default(); wide],
             |sum, (k, ring)| self.restrict_ring(k, |from| &fine[from * wide..(from + 1) * wide], sum, ring),
         );
     }
 
     /// As [`restrict`](Self::restrict), to the coarser ring k.
     #[inline(always)]
-    fn restrict_ring<'a>(
-        &self,
-        k: usize,
-        fine: impl Fn(usize) -> &'a [f64],
-        sum: &mut [f64],
-        ring: &mut [f64],
-    ) {
-        sum.fill(0.0);
+    fn restrict_ring<'a>(&self, k: usize, fine: impl Fn(usize) -> &'a [T], sum: &mut [T], ring: &mut [T]) {
+        sum.fill(T::default());
         for &(from, weight) in &self.rings.to_coarse[k] {
-            sum.iter_mut().zip(fine(from)).for_each(|(sum, x)| *sum += weight * x);
+            sum.iter_mut().zip(fine(from)).for_each(|(sum, x)| *sum = *sum + weight * *x);
         }
-        for (x, from) in ring.iter_mut().zip(&self.nodes.to_coarse) {
-            *x = from.iter().map(|&(j, weight)| weight * sum[j]).sum();
-        }
+        self.nodes.restrict(sum, ring);
     }
 
     /// Adds the interpolated values of the coarser grid to ring k.
     #[inline(always)]
-    fn prolong_ring(&self, k: usize, coarse: &[f64], between: &mut [f64], ring: &mut [f64]) {
+    fn prolong_ring(&self, k: usize, coarse: &[T], between: &mut [T], ring: &mut [T]) {
         let narrow = between.len();
         let Share { below, above, part } = self.rings.to_fine[k];
         let [a, b] = [below, above].map(|k| &coarse[k * narrow..(k + 1) * narrow]);
         for ((between, a), b) in between.iter_mut().zip(a).zip(b) {
-            *between = a + part * (b - a);
+            *between = *a + part * (*b - *a);
         }
-        for (x, &Share { below, above, part }) in ring.iter_mut().zip(&self.nodes.to_fine) {
-            *x += between[below] + part * (between[above] - between[below]);
-        }
+        self.nodes.add_prolonged(between, ring);
     }
 }
 
 /// A place between two coarser ones.
 #[derive(Clone, Copy)]
-struct Share {
+struct Share<T> {
     below: usize,
     above: usize,
     /// The weight of the one above.
-    part: f64,
+    part: T,
 }
 
 /// Linear interpolation in one direction.
-struct Interpolation {
-    to_fine: Vec<Share>,
+struct Interpolation<T> {
+    to_fine: Vec<Share<T>>,
     /// Per coarse place: the fine ones that it has a share in, with their weights.
-    to_coarse: Vec<Vec<(usize, f64)>>,
+    to_coarse: Vec<Vec<(usize, T)>>,
+    /// Whether every second fine place is a coarse one, about a closed ring.
+    is_halving: bool,
 }
 
-impl Interpolation {
+impl<T: Scalar> Interpolation<T> {
     /// From `coarse` evenly spaced places to `fine` ones over the same length, or about the same ring if `closed`.
     fn new(fine: usize, coarse: usize, closed: bool) -> Self {
         let mut to_coarse = vec![Vec::new(); coarse];
@@ -324,22 +331,23 @@ impl Interpolation {
             let below = i * coarse_intervals / intervals;
             let part = (i * coarse_intervals % intervals) as f64 / intervals as f64;
             let above = if closed { (below + 1) % coarse } else { (below + 1).min(coarse - 1) };
-            Share { below, above, part }
+            (Share { below, above, part: T::from_f64(part) }, T::from_f64(1.0 - part))
         };
-        let to_fine: Vec<Share> = (0..fine).map(share).collect();
-        for (i, &Share { below, above, part }) in to_fine.iter().enumerate() {
-            to_coarse[below].push((i, 1.0 - part));
-            if part > 0.0 {
+        let shares: Vec<_> = (0..fine).map(share).collect();
+        for (i, &(Share { below, above, part }, rest)) in shares.iter().enumerate() {
+            to_coarse[below].push((i, rest));
+            if part > T::default() {
                 to_coarse[above].push((i, part));
             }
         }
-        Self { to_fine, to_coarse }
+        let to_fine = shares.into_iter().map(|(share, _)| share).collect();
+        Self { to_fine, to_coarse, is_halving: closed && fine == 2 * coarse }
     }
 
     /// The first coarse place at or behind a fine one.
     fn first_from(&self, fine: usize) -> usize {
         let Share { below, part, .. } = self.to_fine[fine];
-        if part > 0.0 { below + 1 } else { below }
+        if part > T::default() { below + 1 } else { below }
     }
 
     /// The fine places that have a share in some coarse ones, and these.
@@ -347,6 +355,45 @@ impl Interpolation {
         let with_share = || coarse.clone().flat_map(|k| &self.to_coarse[k]).map(|(from, _)| *from);
         let first = with_share().fold(fine.start, usize::min);
         first..with_share().map(|from| from + 1).fold(fine.end, usize::max)
+    }
+
+    /// Values of fine places, shared out among the coarse ones.
+    #[inline(always)]
+    fn restrict(&self, fine: &[T], coarse: &mut [T]) {
+        if self.is_halving {
+            // The same weights, without lists.
+            let half = T::from_f64(0.5);
+            let mut before = fine[fine.len() - 1];
+            for (x, pair) in coarse.iter_mut().zip(fine.chunks_exact(2)) {
+                *x = pair[0] + half * (before + pair[1]);
+                before = pair[1];
+            }
+        } else if fine.len() == coarse.len() {
+            coarse.copy_from_slice(fine);
+        } else {
+            for (x, from) in coarse.iter_mut().zip(&self.to_coarse) {
+                *x = from.iter().fold(T::default(), |sum, &(j, weight)| sum + weight * fine[j]);
+            }
+        }
+    }
+
+    /// Adds what is interpolated from coarse places to fine ones.
+    #[inline(always)]
+    fn add_prolonged(&self, coarse: &[T], fine: &mut [T]) {
+        if self.is_halving {
+            let half = T::from_f64(0.5);
+            let next = coarse[1..].iter().chain(&coarse[..1]);
+            for ((pair, here), next) in fine.chunks_exact_mut(2).zip(coarse).zip(next) {
+                pair[0] = pair[0] + *here;
+                pair[1] = pair[1] + half * (*here + *next);
+            }
+        } else if fine.len() == coarse.len() {
+            fine.iter_mut().zip(coarse).for_each(|(fine, coarse)| *fine = *fine + *coarse);
+        } else {
+            for (x, &Share { below, above, part }) in fine.iter_mut().zip(&self.to_fine) {
+                *x = *x + (coarse[below] + part * (coarse[above] - coarse[below]));
+            }
+        }
     }
 }
 
@@ -382,16 +429,14 @@ mod tests {
                 let wave = |seed: usize| -> Vec<f64> {
                     (0..grid.node_count()).map(|i| (0.37 * (i * (i + seed) % 977) as f64).sin()).collect()
                 };
-                let mut cycle = |right: &[f64]| {
-                    let mut values = vec![f64::NAN; right.len()];
-                    multigrid.precondition(right, &mut values, &mut room);
-                    values
+                let mut cycle = |right: &[f64]| -> Vec<f64> {
+                    multigrid.precondition(right, &mut room).iter().map(|x| f64::from(*x)).collect()
                 };
                 let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
                 let (a, b) = (wave(1), wave(5));
                 let (of_a, of_b) = (cycle(&a), cycle(&b));
                 let size = (dot(&of_a, &a) * dot(&of_b, &b)).sqrt();
-                assert!(size > 0.0 && (dot(&of_a, &b) - dot(&a, &of_b)).abs() < 1e-9 * size, "{grid:?}");
+                assert!(size > 0.0 && (dot(&of_a, &b) - dot(&a, &of_b)).abs() < 1e-5 * size, "{grid:?}");
                 // Not the inverse, but by a bounded factor, at whatever smoothness.
                 let mut product = a.clone();
                 operator.apply(&a, &mut product);
@@ -412,9 +457,7 @@ mod tests {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
                 let multigrid = Multigrid::of(&operator).unwrap();
-                let mut values = vec![f64::NAN; right.len()];
-                multigrid.precondition(&right, &mut values, &mut multigrid.room());
-                (grid.bands().len(), values)
+                (grid.bands().len(), multigrid.precondition(&right, &mut multigrid.room()).to_vec())
             })
         };
         let (few, expected) = on(1);

@@ -2,6 +2,7 @@
 
 use super::bending::LocalSmoothness;
 use super::equations::Equations;
+use crate::numerics::Scalar;
 use crate::sweep::prepare::grid::WallGrid;
 use rayon::prelude::*;
 use std::cell::RefCell;
@@ -17,12 +18,14 @@ const TASK_RINGS: usize = 64;
 /// The couplings of weighted echoes plus λ times those of the bending energy `½ ∫ r_ss² + 2 r_sθ² + r_θθ² dA`.
 ///
 /// Second differences along the axis are left out on the end rings: the ends are free, so a cone has no bending energy.
+///
+/// In f64, or [rounded](Self::rounded) to f32.
 #[derive(Debug, Clone)]
-pub(in crate::sweep) struct Operator {
+pub(in crate::sweep) struct Operator<T = f64> {
     pub grid: WallGrid,
     /// Per node: the echoes' coupling to itself.
-    own: Vec<f64>,
-    couplings: Option<Couplings>,
+    own: Vec<T>,
+    couplings: Option<Couplings<T>>,
     /// λ, mm².
     pub smoothness_mm2: f64,
     /// λ and the area of a cell times the squares of second differences along the axis, about it, and of twists.
@@ -34,35 +37,30 @@ pub(in crate::sweep) struct Operator {
 
 /// The echoes' couplings between nodes. Planes hold one number more per ring: the last one's comes first as well.
 #[derive(Debug, Clone)]
-struct Couplings {
+struct Couplings<T> {
     /// (k, j) to (k, j+1).
-    along_ring: Vec<f64>,
+    along_ring: Vec<T>,
     /// (k-1, j) to (k, j), and to (k, j+1); zeros for k = 0 and behind the last ring.
-    across: Vec<f64>,
-    diagonal: Vec<f64>,
+    across: Vec<T>,
+    diagonal: Vec<T>,
 }
 
 /// Some successive rings of values, with two nodes repeated on either side of each, so that no stencil has to wrap around.
 #[derive(Debug, Default)]
-pub(super) struct Window {
+pub(super) struct Window<T> {
     first: usize,
     width: usize,
-    values: Vec<f64>,
+    values: Vec<T>,
 }
 
-impl Window {
+impl<T: Scalar> Window<T> {
     /// Calls `fill` with every ring of a range and room for its values.
     #[inline(always)]
-    pub(super) fn fill(
-        &mut self,
-        nodes: usize,
-        rings: Range<usize>,
-        mut fill: impl FnMut(usize, &mut [f64]),
-    ) {
+    pub(super) fn fill(&mut self, nodes: usize, rings: Range<usize>, mut fill: impl FnMut(usize, &mut [T])) {
         self.first = rings.start;
         self.width = nodes + 4;
         if self.values.len() < rings.len() * self.width {
-            self.values.resize(rings.len() * self.width, 0.0);
+            self.values.resize(rings.len() * self.width, T::default());
         }
         for (ring, padded) in rings.zip(self.values.chunks_exact_mut(nodes + 4)) {
             fill(ring, &mut padded[2..nodes + 2]);
@@ -74,25 +72,31 @@ impl Window {
     }
 
     #[inline(always)]
-    fn padded(&self, ring: usize) -> &[f64] {
+    fn padded(&self, ring: usize) -> &[T] {
         &self.values[(ring - self.first) * self.width..][..self.width]
     }
 
     /// The values of a ring.
     #[inline(always)]
-    pub(super) fn ring(&self, ring: usize) -> &[f64] {
+    pub(super) fn ring(&self, ring: usize) -> &[T] {
         &self.padded(ring)[2..self.width - 2]
     }
 }
 
+/// Windows of a thread's tasks.
+#[derive(Debug, Default)]
+pub(super) struct Windows {
+    pub exact: Window<f64>,
+    pub rounded: [Window<f32>; 2],
+}
+
 thread_local! {
-    /// Windows of a thread's tasks.
-    static WINDOWS: RefCell<[Window; 2]> = RefCell::default();
+    static WINDOWS: RefCell<Windows> = RefCell::default();
 }
 
 /// Calls `task`, compiled for this processor, with windows to use.
 #[inline(always)]
-pub(super) fn with_windows(task: impl FnOnce(&mut [Window; 2])) {
+pub(super) fn with_windows(task: impl FnOnce(&mut Windows)) {
     WINDOWS.with_borrow_mut(|windows| {
         pulp::Arch::new().dispatch(
             #[inline(always)]
@@ -126,11 +130,11 @@ impl WallGrid {
 }
 
 /// The parts of a vector that belong to these rings, which follow each other, of `nodes` nodes.
-pub(super) fn split(
-    mut values: &mut [f64],
+pub(super) fn split<T>(
+    mut values: &mut [T],
     nodes: usize,
     bands: impl Iterator<Item = Range<usize>>,
-) -> Vec<&mut [f64]> {
+) -> Vec<&mut [T]> {
     bands
         .map(|band| {
             let (of_band, rest) = std::mem::take(&mut values).split_at_mut(band.len() * nodes);
@@ -190,19 +194,19 @@ impl Operator {
         }
     }
 
-    /// The factors of λ on the rings.
-    pub(in crate::sweep) fn local(&self) -> &LocalSmoothness {
-        &self.local
-    }
-
-    /// Weights of the bending on ring k: of second differences along the axis, about it, and of twists towards the next
-    /// ring. 0 for rings that do not exist.
-    fn bending_of(&self, k: Option<usize>) -> [f64; 3] {
-        let rings = self.grid.rings;
-        let Some(k) = k.filter(|&k| k < rings) else { return [0.0; 3] };
-        let factor = self.local.factor(k);
-        let only = |condition: bool, weight: f64| if condition { weight * factor } else { 0.0 };
-        [only(k >= 1 && k + 1 < rings, self.along), only(true, self.around), only(k + 1 < rings, self.twist)]
+    /// The same in f32.
+    pub(super) fn rounded(&self) -> Operator<f32> {
+        let rounded = |values: &Vec<f64>| -> Vec<f32> {
+            values.par_iter().with_min_len(TASK_NODES).map(|x| *x as f32).collect()
+        };
+        let couplings = self.couplings.as_ref().map(|couplings| Couplings {
+            along_ring: rounded(&couplings.along_ring),
+            across: rounded(&couplings.across),
+            diagonal: rounded(&couplings.diagonal),
+        });
+        let Self { grid, smoothness_mm2, along, around, twist, ref local, .. } = *self;
+        let (own, local) = (rounded(&self.own), local.clone());
+        Operator { grid, own, couplings, smoothness_mm2, along, around, twist, local }
     }
 
     /// The diagonal of the matrix.
@@ -225,19 +229,6 @@ impl Operator {
         weights
     }
 
-    /// The squares of the bending energy at node j of ring k: their weights, and their nodes with coefficients.
-    pub(in crate::sweep) fn squares(&self, k: usize, j: usize) -> [(f64, [(usize, f64); 4]); 3] {
-        let nodes = self.grid.nodes;
-        let [along, around, twist] = self.bending_of(Some(k));
-        let at = |ring: usize, node: usize| ring.min(self.grid.rings - 1) * nodes + node % nodes;
-        let here = (at(k, j), -2.0);
-        [
-            (along, [(at(k.saturating_sub(1), j), 1.0), here, (at(k + 1, j), 1.0), (here.0, 0.0)]),
-            (around, [(at(k, j + nodes - 1), 1.0), here, (at(k, j + 1), 1.0), (here.0, 0.0)]),
-            (twist, [(here.0, 1.0), (at(k, j + 1), -1.0), (at(k + 1, j), -1.0), (at(k + 1, j + 1), 1.0)]),
-        ]
-    }
-
     /// `out = A x`.
     pub(in crate::sweep) fn apply(&self, x: &[f64], out: &mut [f64]) {
         let nodes = self.grid.nodes;
@@ -246,7 +237,7 @@ impl Operator {
         for_each(bands.into_iter().zip(parts).collect(), |(band, out)| {
             with_windows(
                 #[inline(always)]
-                |[window, _]| {
+                |Windows { exact: window, .. }| {
                     let copy = |k: usize, ring: &mut [f64]| ring.copy_from_slice(&x[k * nodes..][..nodes]);
                     window.fill(nodes, self.grid.wider(&band, 2), copy);
                     for (k, out) in band.zip(out.chunks_exact_mut(nodes)) {
@@ -260,7 +251,7 @@ impl Operator {
     /// The next direction of conjugate gradients, `z + beta direction`, and its product with the matrix.
     pub(super) fn advance(
         &self,
-        z: &[f64],
+        z: &[impl Scalar],
         beta: f64,
         direction: &[f64],
         next: &mut [f64],
@@ -274,7 +265,7 @@ impl Operator {
             |(band, (next, product))| {
                 with_windows(
                     #[inline(always)]
-                    |[window, _]| {
+                    |Windows { exact: window, .. }| {
                         window.fill(
                             nodes,
                             self.grid.wider(&band, 2),
@@ -283,7 +274,7 @@ impl Operator {
                                 let (z, direction) =
                                     (&z[k * nodes..][..nodes], &direction[k * nodes..][..nodes]);
                                 for ((next, z), direction) in ring.iter_mut().zip(z).zip(direction) {
-                                    *next = z + beta * direction;
+                                    *next = z.to_f64() + beta * direction;
                                 }
                             },
                         );
@@ -297,13 +288,43 @@ impl Operator {
             },
         );
     }
+}
+
+impl<T: Scalar> Operator<T> {
+    /// The factors of λ on the rings.
+    pub(in crate::sweep) fn local(&self) -> &LocalSmoothness {
+        &self.local
+    }
+
+    /// Weights of the bending on ring k: of second differences along the axis, about it, and of twists towards the next
+    /// ring. 0 for rings that do not exist.
+    fn bending_of(&self, k: Option<usize>) -> [f64; 3] {
+        let rings = self.grid.rings;
+        let Some(k) = k.filter(|&k| k < rings) else { return [0.0; 3] };
+        let factor = self.local.factor(k);
+        let only = |condition: bool, weight: f64| if condition { weight * factor } else { 0.0 };
+        [only(k >= 1 && k + 1 < rings, self.along), only(true, self.around), only(k + 1 < rings, self.twist)]
+    }
+
+    /// The squares of the bending energy at node j of ring k: their weights, and their nodes with coefficients.
+    pub(in crate::sweep) fn squares(&self, k: usize, j: usize) -> [(f64, [(usize, f64); 4]); 3] {
+        let nodes = self.grid.nodes;
+        let [along, around, twist] = self.bending_of(Some(k));
+        let at = |ring: usize, node: usize| ring.min(self.grid.rings - 1) * nodes + node % nodes;
+        let here = (at(k, j), -2.0);
+        [
+            (along, [(at(k.saturating_sub(1), j), 1.0), here, (at(k + 1, j), 1.0), (here.0, 0.0)]),
+            (around, [(at(k, j + nodes - 1), 1.0), here, (at(k, j + 1), 1.0), (here.0, 0.0)]),
+            (twist, [(here.0, 1.0), (at(k, j + 1), -1.0), (at(k + 1, j), -1.0), (at(k + 1, j + 1), 1.0)]),
+        ]
+    }
 
     /// `out = right - A x` on ring k.
     #[inline(always)]
-    pub(super) fn residual(&self, k: usize, right: &[f64], x: &Window, out: &mut [f64]) {
+    pub(super) fn residual(&self, k: usize, right: &[T], x: &Window<T>, out: &mut [T]) {
         self.product(k, x, out);
         let right = &right[k * self.grid.nodes..];
-        out.iter_mut().zip(right).for_each(|(out, right)| *out = right - *out);
+        out.iter_mut().zip(right).for_each(|(out, right)| *out = *right - *out);
     }
 
     /// `out = x + weight scale (right - A x)` on ring k, with a `scale` for every node.
@@ -311,27 +332,29 @@ impl Operator {
     pub(super) fn relax(
         &self,
         k: usize,
-        right: &[f64],
-        x: &Window,
-        (weight, scale): (f64, &[f64]),
-        out: &mut [f64],
+        right: &[T],
+        x: &Window<T>,
+        (weight, scale): (T, &[T]),
+        out: &mut [T],
     ) {
         self.product(k, x, out);
         let of_ring = k * self.grid.nodes;
         let (right, scale) = (&right[of_ring..], &scale[of_ring..]);
         for (((out, x), right), scale) in out.iter_mut().zip(x.ring(k)).zip(right).zip(scale) {
-            *out = x + weight * scale * (right - *out);
+            *out = *x + weight * *scale * (*right - *out);
         }
     }
 
     /// The product of the matrix with `x` on ring k; `x` has two rings more on either side, as far as there are any.
     #[inline(always)]
-    fn product(&self, k: usize, x: &Window, out: &mut [f64]) {
+    fn product(&self, k: usize, x: &Window<T>, out: &mut [T]) {
         let WallGrid { rings, nodes, .. } = self.grid;
         // Where a ring does not exist, the one at the end stands in with a weight of 0.
         let [k1, k2] = [1, 2].map(|away| k.saturating_sub(away));
         let [k3, k4] = [1, 2].map(|away| (k + away).min(rings - 1));
-        let [below, here, above] = [k.checked_sub(1), Some(k), Some(k + 1)].map(|k| self.bending_of(k));
+        let [below, here, above] =
+            [k.checked_sub(1), Some(k), Some(k + 1)].map(|k| self.bending_of(k).map(T::from_f64));
+        let two = T::from_f64(2.0);
         let [arch_below, arch, arch_above] = [below[0], here[0], above[0]];
         let (around, twist_below, twist_above) = (here[1], below[2], here[2]);
 
@@ -344,9 +367,9 @@ impl Operator {
             let (x_below, x_above) = (a[j + 2], c[j + 2]);
             // Second differences from first differences, which are exact where neighbours are alike.
             let [d0, d1, d2, d3] = [b[j + 1] - b[j], x - b[j + 1], b[j + 3] - x, b[j + 4] - b[j + 3]];
-            let bends = around * ((d1 - d0) - 2.0 * (d2 - d1) + (d3 - d2));
+            let bends = around * ((d1 - d0) - two * (d2 - d1) + (d3 - d2));
             let (e0, e1, e2, e3) = (x_below - two_below[j], x - x_below, x_above - x, two_above[j] - x_above);
-            let arches = arch_below * (e1 - e0) - 2.0 * (arch * (e2 - e1)) + arch_above * (e3 - e2);
+            let arches = arch_below * (e1 - e0) - two * (arch * (e2 - e1)) + arch_above * (e3 - e2);
             let twists_above = (c[j + 3] - x_above - d2) - (x_above - c[j + 1] - d1);
             let twists_below = (d1 - (x_below - a[j + 1])) - (d2 - (a[j + 3] - x_below));
             out[j] = own[j] * x + bends + arches + (twist_above * twists_above + twist_below * twists_below);
@@ -362,7 +385,7 @@ impl Operator {
                 let along = along_ring[j + 1] * b[j + 3] + along_ring[j] * b[j + 1];
                 let above = up[j + 1] * c[j + 2] + tilted[j + 1] * c[j + 3];
                 let below = up_below[j + 1] * a[j + 2] + tilted_below[j] * a[j + 1];
-                out[j] += along + above + below;
+                out[j] = out[j] + (along + above + below);
             }
         }
     }

@@ -4,6 +4,7 @@ use super::bending::LocalSmoothness;
 use super::equations::Equations;
 use super::multigrid::Multigrid;
 use super::operator::Operator;
+use crate::numerics::Scalar;
 use crate::sweep::prepare::grid::WallGrid;
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -71,7 +72,7 @@ pub(in crate::sweep) fn solve(
 /// A matrix that is ready to be solved for many right-hand sides.
 pub(in crate::sweep) struct Solver<'a> {
     operator: &'a Operator,
-    multigrid: Multigrid<'a>,
+    multigrid: Multigrid,
 }
 
 impl<'a> Solver<'a> {
@@ -111,11 +112,10 @@ impl<'a> Solver<'a> {
         let Self { operator, multigrid } = self;
         let mut room = multigrid.room();
         let zeros = || vec![0.0; right.len()];
-        let (mut product, mut z, mut direction, mut next_direction) = (zeros(), zeros(), zeros(), zeros());
+        let (mut product, mut direction, mut next_direction) = (zeros(), zeros(), zeros());
         let mut residual = right.to_vec();
         // In the norm of the preconditioner, which weights a residual by its effect on x.
-        multigrid.precondition(&residual, &mut z, &mut room);
-        let enough = tolerance * tolerance * dot(&residual, &z);
+        let enough = tolerance * tolerance * dot(&residual, multigrid.precondition(&residual, &mut room));
         // From zero, that is the first step's already.
         let from_zero = x.iter().all(|x| *x == 0.0);
         if !from_zero {
@@ -125,10 +125,11 @@ impl<'a> Solver<'a> {
         }
         let mut size = 0.0;
         for step in 0..=max_steps {
-            if step > 0 || !from_zero {
-                multigrid.precondition(&residual, &mut z, &mut room);
-            }
-            let next = dot(&residual, &z);
+            let z = match step == 0 && from_zero {
+                true => Multigrid::found(&room),
+                false => multigrid.precondition(&residual, &mut room),
+            };
+            let next = dot(&residual, z);
             if next <= enough || step == max_steps {
                 return Ok(Solved { steps: step, converged: next <= enough });
             }
@@ -137,7 +138,7 @@ impl<'a> Solver<'a> {
             }
             let beta = if step == 0 { 0.0 } else { next / size };
             size = next;
-            operator.advance(&z, beta, &direction, &mut next_direction, &mut product);
+            operator.advance(z, beta, &direction, &mut next_direction, &mut product);
             std::mem::swap(&mut direction, &mut next_direction);
             coupling(&direction, &mut product);
             let curvature = dot(&direction, &product);
@@ -161,12 +162,12 @@ fn broken(what: &'static str, found: f64) -> Error {
 }
 
 /// The scalar product, in a fixed order.
-fn dot(a: &[f64], b: &[f64]) -> f64 {
+fn dot<T: Scalar>(a: &[f64], b: &[T]) -> f64 {
     // Some tasks side by side: sums that do not wait for each other.
-    let of_tasks = |(a, b): (&[f64], &[f64])| -> Vec<f64> {
-        let tasks: Vec<(&[f64], &[f64])> = a.chunks(TASK).zip(b.chunks(TASK)).collect();
+    let of_tasks = |(a, b): (&[f64], &[T])| -> Vec<f64> {
+        let tasks: Vec<(&[f64], &[T])> = a.chunks(TASK).zip(b.chunks(TASK)).collect();
         let mut sums = vec![0.0; tasks.len()];
-        match <[(&[f64], &[f64]); SIDE_BY_SIDE]>::try_from(tasks) {
+        match <[(&[f64], &[T]); SIDE_BY_SIDE]>::try_from(tasks) {
             Ok(tasks) => sums.copy_from_slice(&products_of(tasks)),
             Err(tasks) => sums.iter_mut().zip(tasks).for_each(|(sum, task)| [*sum] = products_of([task])),
         }
@@ -178,18 +179,18 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// Scalar products of tasks, all but the last equally long.
-fn products_of<const N: usize>(tasks: [(&[f64], &[f64]); N]) -> [f64; N] {
+fn products_of<T: Scalar, const N: usize>(tasks: [(&[f64], &[T]); N]) -> [f64; N] {
     let together = tasks.iter().map(|(a, _)| a.len()).min().unwrap_or(0);
     let fronts = tasks.map(|(a, b)| (&a[..together], &b[..together]));
     let mut sums = [0.0; N];
     for i in 0..together {
         for (sum, (a, b)) in sums.iter_mut().zip(fronts) {
-            *sum += a[i] * b[i];
+            *sum += a[i] * b[i].to_f64();
         }
     }
     for (sum, (a, b)) in sums.iter_mut().zip(tasks) {
         for (a, b) in a[together..].iter().zip(&b[together..]) {
-            *sum += a * b;
+            *sum += a * b.to_f64();
         }
     }
     sums
