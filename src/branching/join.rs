@@ -27,9 +27,11 @@ const TRIES: [(usize, f64); 9] =
 /// Steps in which the part of a ring that lies inside another tube is found, and rings over which a tube is narrowed to it.
 const SHARES: usize = 10;
 const NARROWED: usize = 12;
-/// Edge of a cell of the lattice, as a share of the coarsest grid's edge, and of the smallest radius at most.
-const COARSEST_SHARE: f64 = 0.8;
-const RADIUS_SHARE: f64 = 0.15;
+/// Edge of a cell of the lattice, in edges of the finest grid, or as a share of the coarsest grid's edge, and of the smallest radius
+/// at most. The surface's nodes lie closer to each other than a cell's corners.
+const FINEST_SHARE: f64 = 1.3;
+const COARSEST_SHARE: f64 = 1.0;
+const RADIUS_SHARE: f64 = 0.2;
 /// Rounds of remeshing.
 const ROUNDS: usize = 4;
 /// Bounds of the distance that the field gives where a tube has none, in edges.
@@ -492,7 +494,7 @@ fn cell_edge_mm<'a>(tubes: impl Iterator<Item = &'a Tube<'a>> + Clone) -> f64 {
     let (finest, coarsest) =
         edges.fold((f64::INFINITY, 0.0_f64), |(low, high), edge| (low.min(edge), high.max(edge)));
     let radius_mm = tubes.map(Tube::median_radius_mm).fold(f64::INFINITY, f64::min);
-    finest.max((COARSEST_SHARE * coarsest).min(RADIUS_SHARE * radius_mm))
+    (FINEST_SHARE * finest).max((COARSEST_SHARE * coarsest).min(RADIUS_SHARE * radius_mm))
 }
 
 /// The part with most triangles, and the nodes that it uses.

@@ -33,7 +33,7 @@ impl Value for DVec3 {
 
 /// Steps of the conjugate gradients, and their relative accuracy.
 const MAX_STEPS: usize = 400;
-const ACCURACY: f64 = 1e-4;
+const ACCURACY: f64 = 1e-3;
 
 /// The Laplacian of a triangle surface by cotangents, times the area of the nodes.
 pub(super) struct Laplacian {
