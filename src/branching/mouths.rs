@@ -164,11 +164,12 @@ pub(super) fn flattened(tube: &Tube, lumen_mm: f64, noise_mm: f64) -> Vec<(f64, 
     let limit_mm = (BULGE_SDS * noise_mm).max(BULGE_RADII * lumen_mm);
     (0..rings * nodes)
         .into_par_iter()
-        .map(|node| {
+        .map_init(Vec::new, |about: &mut Vec<f64>, node| {
             let (k, j) = (node / nodes, node % nodes);
             let radius = |ring: i32, j: i32| tube.radii_mm[(ring * nodes + j.rem_euclid(nodes)) as usize];
-            let rings = places.iter().filter(|place| (0..rings).contains(&(k + place[0])));
-            let mut about: Vec<f64> = rings.map(|place| radius(k + place[0], j + place[1])).collect();
+            let within = places.iter().filter(|place| (0..rings).contains(&(k + place[0])));
+            about.clear();
+            about.extend(within.map(|place| radius(k + place[0], j + place[1])));
             let rank = (WINDOW_QUANTILE * about.len() as f64) as usize;
             let (_, usual, _) = about.select_nth_unstable_by(rank, f64::total_cmp);
             let is_bulging = radius(k, j) > *usual + limit_mm;
