@@ -118,7 +118,7 @@ pub(crate) struct Banded {
 #[derive(Debug, Clone)]
 pub(crate) struct BandedFactor {
     width: usize,
-    /// Row after row: the elements from the lowest diagonal to the main one.
+    /// Row after row: the elements from the lowest diagonal on, and the inverse of the main one's.
     rows: Vec<f64>,
     /// Column after column: the elements below the main diagonal.
     columns: Vec<f64>,
@@ -153,7 +153,7 @@ impl Banded {
             products.fill(0.0);
             for j in i.saturating_sub(width)..i {
                 let place = width - (i - j);
-                let element = (row[place] - products[place]) / before[j * stride + width];
+                let element = (row[place] - products[place]) * before[j * stride + width];
                 row[place] = element;
                 let column = &mut columns[j * width..(j + 1) * width];
                 let rows_after = products[place + 1..width].iter_mut().zip(&*column);
@@ -165,7 +165,7 @@ impl Banded {
             if !(rest > 0.0 && rest.is_finite()) {
                 return None;
             }
-            row[width] = rest.sqrt();
+            row[width] = rest.sqrt().recip();
         }
         Some(BandedFactor { width, rows, columns })
     }
@@ -178,14 +178,14 @@ impl BandedFactor {
         // By columns, so that no sum waits for its last product.
         let mut products = vec![0.0; count + width];
         for (i, column) in (0..count).zip(self.columns.chunks_exact(width)) {
-            x[i] = (x[i] - products[i]) / self.rows[i * stride + width];
+            x[i] = (x[i] - products[i]) * self.rows[i * stride + width];
             let below = &mut products[i + 1..=i + width];
             below.iter_mut().zip(column).for_each(|(product, l)| *product += l * x[i]);
         }
         for i in (0..count).rev() {
             let first = i.saturating_sub(width);
             let row = &self.rows[i * stride..(i + 1) * stride];
-            let here = x[i] / row[width];
+            let here = x[i] * row[width];
             x[i] = here;
             x[first..i].iter_mut().zip(&row[width - (i - first)..width]).for_each(|(x, l)| *x -= here * l);
         }
