@@ -102,8 +102,6 @@ const MIN_ECHOES: usize = 500;
 /// Draws of the kinds of errors that every recording has, the bends behind the roughness among them, and of each other kind.
 const BASE_DRAWS: usize = 3;
 const OTHER_DRAWS: usize = 1;
-/// Frames, in all draws of a kind together, that give its moments to [`MOMENT_SHARE`]: a shift's variance is known to √(2/n) of it.
-const ENOUGH_FRAMES: usize = 2200;
 /// Draws of errors behind the roughness, and behind the standard errors.
 const ROUGHNESS_DRAWS: usize = 3;
 const VARIANCE_DRAWS: usize = 8;
@@ -492,8 +490,7 @@ impl<'a> Recorded<'a> {
         };
         let mut kinds = vec![Process::Ray, Process::Shift { correlation_s: 0.0 }, Process::Wall];
         let base = kinds.len();
-        let draws = ENOUGH_FRAMES.div_ceil(self.times_s.len()).min(BASE_DRAWS);
-        let mut of_kinds = columns(&kinds, draws, 0, None)?;
+        let mut of_kinds = columns(&kinds, BASE_DRAWS, 0, None)?;
         let explain = |of_kinds: &[Vec<f64>], chosen: &[usize]| {
             let columns: Vec<&[f64]> = chosen.iter().map(|&k| &of_kinds[k][..]).collect();
             nonnegative_least_squares(&columns, &target)
@@ -512,7 +509,7 @@ impl<'a> Recorded<'a> {
                 of_nodes.iter().zip(self.supported).filter(|(_, s)| **s).map(|(ratio, _)| *ratio);
             let usual = median(&mut of_supported.collect::<Vec<_>>());
             let rougher: Vec<f64> = of_nodes.iter().map(|ratio| (ratio / usual).sqrt()).collect();
-            let uneven = columns(&[Process::Wall], draws, base, Some(&rougher))?;
+            let uneven = columns(&[Process::Wall], BASE_DRAWS, base, Some(&rougher))?;
             let mut with_uneven = of_kinds.clone();
             with_uneven[base - 1].clone_from(&uneven[0]);
             let (_, uneven_misfit) = explain(&with_uneven, &chosen);
