@@ -28,7 +28,7 @@ const TASK_NODES: usize = 2048;
 
 /// The grids, from the finest on.
 ///
-/// The cycle computes in f32: it need not be exact, and half the bytes go twice as fast.
+/// The cycle computes in f32: it need not be exact, and half the bytes take less time where rings are wide.
 pub(super) struct Multigrid {
     /// All grids but the coarsest.
     levels: Vec<Level>,
