@@ -148,10 +148,9 @@ fn median_of_nine(mut x: [[f64; SIDE_BY_SIDE]; 9]) -> [f64; SIDE_BY_SIDE] {
     // One instruction each, which `f64::min` is not: it minds NaN.
     let (least, greatest) = (|a: f64, b| if a < b { a } else { b }, |a: f64, b| if a > b { a } else { b });
     for (low, high) in SWAPS {
-        for lane in 0..SIDE_BY_SIDE {
-            let (a, b) = (x[low][lane], x[high][lane]);
-            (x[low][lane], x[high][lane]) = (least(a, b), greatest(a, b));
-        }
+        let (a, b) = (x[low], x[high]);
+        x[low] = std::array::from_fn(|lane| least(a[lane], b[lane]));
+        x[high] = std::array::from_fn(|lane| greatest(a[lane], b[lane]));
     }
     x[4]
 }
