@@ -190,17 +190,11 @@ impl Mesh {
 
     /// All edges, each once, its nodes in ascending order.
     fn edges(&self) -> Vec<[u32; 2]> {
-        let mut edges = Vec::with_capacity(self.triangles.len() * 3 / 2);
-        let mut others: Vec<u32> = Vec::new();
-        for (node, about) in (0..).zip(&self.about) {
-            let corners = about.iter().flat_map(|&t| self.triangles[t as usize]);
-            others.clear();
-            others.extend(corners.filter(|&n| n > node));
-            others.sort_unstable();
-            others.dedup();
-            edges.extend(others.iter().map(|&other| [node, other]));
-        }
-        edges
+        let of_node = |node: u32| {
+            let others = self.neighbours(node).into_iter().filter(move |&other| other > node);
+            others.map(move |other| [node, other])
+        };
+        (0..self.about.len() as u32).flat_map(of_node).collect()
     }
 
     fn at(&self, node: u32) -> DVec3 {

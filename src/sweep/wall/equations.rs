@@ -47,6 +47,7 @@ impl Equations {
         let [p, q, r] = corners.weights;
         let [of_p, of_q, of_r] = corners.weights.map(|share| weight * share);
         let (pq, qr) = (of_p * q, of_q * r);
+        // Sums of whole rows, zeros too: a processor adds them side by side.
         // a couples to b along the ring or to a' across; b to b' across, a' to b' along; a to b' always.
         let (of_a, of_m) = match corners.bottom {
             true => ([of_p * p, pq, 0.0, of_p * r, of_p * value], [of_q * q, 0.0, qr, 0.0, of_q * value]),
