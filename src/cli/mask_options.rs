@@ -5,7 +5,7 @@ use crate::recording::MaskOptions;
 #[derive(clap::Args, Default)]
 pub(super) struct MaskOptionArguments {
     /// Pixels at or above it are lumen [default: half of the largest pixel]
-    #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
+    #[arg(long, value_name = "VALUE")]
     threshold: Option<f64>,
     /// Width and height of a pixel in mm, or one number for both [default: of ImageToProbe]
     #[arg(long, value_name = "MM[,MM]", value_parser = pixel_size)]

@@ -12,7 +12,7 @@ pub(super) struct MessageArguments {
     #[arg(long, value_name = "NAME")]
     contour_device: Option<String>,
     /// Contours are stamped so much later than their image was taken, s [default: 0]
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "S")]
     contour_delay: Option<f64>,
     /// Longest time between two poses over which a contour's pose is interpolated, s [default: 0.05]
     #[arg(long, value_name = "S")]

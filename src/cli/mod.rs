@@ -48,7 +48,7 @@ use crate::output;
 use crate::recording::{Recording, Screened, Screening};
 use crate::settings::Settings;
 use crate::{Error, Result};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::path::Path;
@@ -94,7 +94,7 @@ enum Command {
 pub fn main() -> ExitCode {
     quiet_drivers();
     interrupt::watch();
-    let arguments = match Arguments::try_parse() {
+    let arguments = match parsed() {
         Ok(arguments) => arguments,
         // clap ignores that they cannot be written.
         Err(asked) if !asked.use_stderr() => {
@@ -134,6 +134,23 @@ pub fn main() -> ExitCode {
         Command::Devices(arguments) => arguments.run(),
     };
     status(done.map(|()| ExitCode::SUCCESS))
+}
+
+/// The command line of this process.
+fn parsed() -> clap::error::Result<Arguments> {
+    let mut command = with_negative_numbers(Arguments::command());
+    let found = command.try_get_matches_from_mut(std::env::args_os())?;
+    Arguments::from_arg_matches(&found).map_err(|wrong| wrong.format(&mut command))
+}
+
+/// A command whose options take a negative number for their value: where it must not be one, the message names the option and
+/// says what it takes.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let argument = |argument: clap::Arg| match argument.get_action().takes_values() {
+        true => argument.allow_negative_numbers(true),
+        false => argument,
+    };
+    command.mut_args(argument).mut_subcommands(with_negative_numbers)
 }
 
 /// The exit status of a command; an error is told.

@@ -48,7 +48,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "N", conflicts_with = "recording")]
     branch: Option<usize>,
     /// A section every so many mm [default: 1, or a fiftieth of a vessel shorter than 50 mm]
-    #[arg(long, value_name = "MM", conflicts_with_all = ["recording", "at"], allow_negative_numbers = true)]
+    #[arg(long, value_name = "MM", conflicts_with_all = ["recording", "at"])]
     step: Option<f64>,
     /// Sections only at these places, mm along the axis
     #[arg(
@@ -60,10 +60,10 @@ pub(super) struct Arguments {
     )]
     at: Vec<f64>,
     /// Region of interest: from here on, mm along the axis (a frame with REC)
-    #[arg(long, value_name = "MM|FRAME", allow_negative_numbers = true)]
+    #[arg(long, value_name = "MM|FRAME")]
     from: Option<f64>,
     /// … and up to here
-    #[arg(long, value_name = "MM|FRAME", allow_negative_numbers = true)]
+    #[arg(long, value_name = "MM|FRAME")]
     to: Option<f64>,
     /// Least diameter stenosis of a lesion, %
     #[arg(long, value_name = "PERCENT", default_value_t = 25.0, conflicts_with = "recording")]

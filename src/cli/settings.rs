@@ -41,7 +41,7 @@ pub(super) struct SettingsArguments {
     #[arg(long, value_name = "L")]
     levels: Option<u32>,
     /// Of cylinders: height [default: 10]
-    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    #[arg(long, value_name = "MM")]
     height: Option<f64>,
     /// Of cylinders: iterations of the fit [default: 3]
     #[arg(long, value_name = "COUNT")]
@@ -89,11 +89,11 @@ pub(super) struct SettingsArguments {
     calibrate: Option<Calibrate>,
     /// Of a sweep, for a vessel that moves: halve an echo's weight per this many seconds of newer echoes around it
     /// [default: all count alike]
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "S")]
     half_life: Option<f64>,
     /// Of a vessel that breathes or beats: estimate its periodic motion, and show it as it is in the mean, or at this phase in
     /// cycles, 0 as in the first frame
-    #[arg(long, value_name = "mean|PHASE", allow_negative_numbers = true)]
+    #[arg(long, value_name = "mean|PHASE")]
     motion: Option<MotionState>,
     /// Of the same: use the frames of these phases only
     #[arg(long, value_name = "FROM,TO", value_parser = numbers::<2>, allow_hyphen_values = true, conflicts_with = "motion")]

@@ -135,6 +135,9 @@ pub struct Requirements {
 /// Most invocations of a workgroup that a pass makes use of.
 pub(crate) const LARGE_WORKGROUP: u32 = 1024;
 
+/// Invocations of a workgroup that consists of one subgroup, or of a few.
+pub(crate) const NARROW_WORKGROUP: u32 = 32;
+
 impl Requirements {
     /// The requirements of every job.
     pub fn new() -> Self {
@@ -259,6 +262,15 @@ impl Context {
         let of = self.device.adapter_info();
         let usable = 4 <= of.subgroup_min_size && of.subgroup_max_size <= 128;
         (self.device.features().contains(wgpu::Features::SUBGROUP) && usable).then_some(of.subgroup_min_size)
+    }
+
+    /// The number of invocations in every subgroup of a program on the CPU, where a workgroup of [`NARROW_WORKGROUP`] has
+    /// some.
+    pub(crate) fn narrow_width(&self) -> Option<u32> {
+        let of = self.device.adapter_info();
+        let is_known =
+            of.subgroup_min_size == of.subgroup_max_size && of.subgroup_max_size <= NARROW_WORKGROUP;
+        self.subgroup_width().filter(|_| self.is_software() && is_known)
     }
 
     /// Whether the device is known to be a program on the CPU.

@@ -15,6 +15,6 @@ pub use error::GpuError;
 pub use runner::PassTimes;
 
 pub(crate) use buffers::Buffers;
-pub(crate) use context::{Context, Job, LARGE_WORKGROUP, Spent, checked};
+pub(crate) use context::{Context, Job, LARGE_WORKGROUP, NARROW_WORKGROUP, Spent, checked};
 pub(crate) use runner::{ReadyPass, Runner, Timer, dispatch_size};
 pub(crate) use shader::{Access, Binding, Pass, Pipeline, Shader, constants};

@@ -51,6 +51,14 @@ pub struct Device<E = GpuEngine> {
     pub exact: bool,
 }
 
+impl Device {
+    /// Whether a subgroup measures a long face: on a device that is known to be a program.
+    pub fn is_narrow(&self) -> bool {
+        self.engine.adapter().is_some_and(|adapter| adapter.is_software())
+            && self.engine.subgroup_width().is_some()
+    }
+}
+
 /// Says something even where the test passes, when what `eprintln` writes is not shown.
 pub fn say(text: &str) {
     let mut unseen_by_the_test_harness = std::io::stderr().lock();

@@ -83,11 +83,10 @@ pub fn bins_and_scatters(device: &Device, section: &Section<f32>, settings: &Set
     if tube.face_count() <= 1024 {
         for pass in at_once(device) {
             let outputs = ["offsets", "listed_faces", "grouped"];
-            let [offsets, mut listed, grouped] = device.run(&workspace, pass, &[points], outputs);
+            let [offsets, listed, grouped] = device.run(&workspace, pass, &[points], outputs);
             integers(&offsets, &groups.offsets).unwrap();
-            let FitParameters { max_short, max_middle, .. } = *workspace.parameters();
-            let expected = listed_faces(&of_twin, max_short, max_middle, listed.words.len());
-            same_list(&mut listed, &expected);
+            let expected = listed_faces(&of_twin, workspace.parameters(), listed.words.len());
+            same_list(&listed, &expected, workspace.parameters());
             agrees(&as_ordered(&grouped, &groups.offsets, &groups.points), &groups.points);
         }
     }
@@ -118,15 +117,18 @@ fn as_ordered(grouped: &Readback, offsets: &[u32], points: &[[f32; 3]]) -> Readb
     Readback { before: grouped.before.clone(), words: words.as_flattened().to_vec() }
 }
 
-/// Lists of long faces and of those of middle size, in any order.
-fn same_list(found: &mut Readback, expected: &[u32]) {
+/// Lists of long faces, of those that a subgroup measures and of those of middle size, each in any order.
+fn same_list(found: &Readback, expected: &[u32], parameters: &FitParameters) {
     let words = found.words.len();
-    let (long, middle) = (expected[0] as usize, expected[2] as usize);
-    assert_eq!([found.words[0], found.words[2]], [long as u32, middle as u32]);
-    found.words[LIST_HEAD..LIST_HEAD + long].sort_unstable();
-    assert_eq!(found.words[LIST_HEAD..LIST_HEAD + long], expected[LIST_HEAD..LIST_HEAD + long]);
-    found.words[words - middle..].sort_unstable_by(|a, b| b.cmp(a));
-    assert_eq!(found.words[words - middle..], expected[words - middle..]);
+    assert_eq!([found.words[0], found.words[2], found.words[3]], [expected[0], expected[2], expected[3]]);
+    let [long, middle, narrow] = [0, 2, 3].map(|i| expected[i] as usize);
+    let first_narrow = LIST_HEAD + parameters.most_long as usize;
+    for part in [LIST_HEAD..LIST_HEAD + long, first_narrow..first_narrow + narrow, words - middle..words] {
+        let (mut found, mut expected) = (found.words[part.clone()].to_vec(), expected[part].to_vec());
+        found.sort_unstable();
+        expected.sort_unstable();
+        assert_eq!(found, expected);
+    }
 }
 
 /// The coordinates of grouped points, or their faces.
@@ -257,39 +259,55 @@ fn the_scan_is_a_running_sum() {
     }
 }
 
+/// The list that the device makes of faces with so many points each is the twin's; returns that.
+fn list_agrees(device: &Device, counts: &[u32], most: [u32; 3]) -> Vec<u32> {
+    let settings = Settings::default().with_nodes(counts.len() as u32).with_levels(1);
+    let workspace = device.engine.prepare(counts.iter().sum(), RADIUS_MM, &settings).unwrap();
+    let FitParameters { max_short, max_middle, max_narrow, .. } = *workspace.parameters();
+    assert_eq!([max_short, max_middle, max_narrow], most);
+    let mut before = scan_reduce(counts);
+    scan_spine(&mut before);
+    let inputs = [
+        ("counts", bytemuck::cast_slice(counts)),
+        ("block_sums", bytemuck::cast_slice(&before)),
+        ("listed_faces", bytemuck::cast_slice(&[0_u32, 7, 0, 0])),
+    ];
+    let [found] = device.run(&workspace, "scan_downsweep", &inputs, ["listed_faces"]);
+    let expected = listed_faces(counts, workspace.parameters(), found.words.len());
+    same_list(&found, &expected, workspace.parameters());
+    // Another pass's word.
+    assert_eq!(found.words[1], 7);
+    expected
+}
+
 #[test]
 fn listed_faces_are_those_above_the_capacities() {
     let Some(device) = device_without_subgroups() else { return };
     let mut rng = seeded(29);
     for faces in [3_u32, 255, 256, 257, 1023, 1024, 1025] {
-        let settings = Settings::default().with_nodes(faces).with_levels(1);
-        let counts: Vec<u32> = (0..faces)
-            .map(|face| match face % 40 {
-                0 => 32,
-                1 | 21 => 33,
-                2 => 0,
-                3 => 257,
-                4 => 256,
-                _ => rng.random_range(0..5),
-            })
-            .collect();
+        let of_face = |face: u32| match face % 40 {
+            0 => 32,
+            1 | 21 => 33,
+            2 => 0,
+            3 => 257,
+            4 => 256,
+            _ => rng.random_range(0..5),
+        };
+        let counts: Vec<u32> = (0..faces).map(of_face).collect();
         // So many points per face that four lanes measure a short one and 32 one of middle size.
-        let points = counts.iter().sum();
-        let workspace = device.engine.prepare(points, RADIUS_MM, &settings).unwrap();
-        let FitParameters { max_short, max_middle, .. } = *workspace.parameters();
-        assert_eq!([max_short, max_middle], [32, 256]);
-        let mut before = scan_reduce(&counts);
-        scan_spine(&mut before);
-        let inputs = [
-            ("counts", bytemuck::cast_slice(&counts)),
-            ("block_sums", bytemuck::cast_slice(&before)),
-            ("listed_faces", bytemuck::cast_slice(&[0_u32, 7, 0])),
-        ];
-        let [mut found] = device.run(&workspace, "scan_downsweep", &inputs, ["listed_faces"]);
-        let expected = listed_faces(&counts, max_short, max_middle, found.words.len());
-        same_list(&mut found, &expected);
-        // Another pass's word.
-        assert_eq!(found.words[1], 7);
+        let expected = list_agrees(device, &counts, [32, 256, 256]);
         assert!(faces < 4 || (expected[0] > 0 && expected[2] > 1));
+    }
+}
+
+#[test]
+fn listed_faces_of_subgroups_follow_the_long_ones() {
+    let Some(device) = device().filter(|device| device.is_narrow()) else { return };
+    // So many points per face that none is a short one, and that eight lanes measure one.
+    for (faces, short) in [(300, 0), (2000, 64)] {
+        let mut counts = vec![30; faces];
+        [counts[0], counts[1], counts[2], counts[faces - 1]] = [4096, 4097, 20_000, 8000];
+        let expected = list_agrees(device, &counts, [short, short, 4096]);
+        assert_eq!(expected[..4], [3, 0, 0, if short == 0 { faces as u32 - 3 } else { 1 }]);
     }
 }

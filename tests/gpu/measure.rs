@@ -1,4 +1,4 @@
-//! The passes `measure_short`, with subgroups and without, and `measure_long` against their twins.
+//! The passes `measure_short`, with subgroups and without, `measure_narrow` and `measure_long` against their twins.
 
 use crate::compare::{Entry, Tolerance, decisions, entries_alike};
 use crate::cylinders::{assert_agree, assert_same};
@@ -104,13 +104,15 @@ impl Faces {
 
     /// Runs a pass that measures the faces of a class: it writes those, all of those, and no others.
     fn agrees(&self, device: &Device, settings: &Settings, pass: &str) {
-        let long = pass.starts_with("measure_long");
+        let narrow = pass == "measure_narrow";
+        let long = narrow || pass.starts_with("measure_long");
         let count = self.points.len() as u32;
         let workspace = device.engine.prepare(count, RADIUS_MM, settings).unwrap();
-        let FitParameters { max_short, max_middle, .. } = *workspace.parameters();
+        let FitParameters { max_short, max_middle, max_narrow, most_long, .. } = *workspace.parameters();
         let is_own = |size: u32| match pass.starts_with("measure_middle") {
             true => size > max_short && size <= max_middle,
-            false if long => size > max_middle,
+            false if narrow => size > max_middle && size <= max_narrow,
+            false if long => size > max_narrow,
             false => size <= max_short,
         };
         let rule = Filter::new(settings, RADIUS_MM);
@@ -126,8 +128,8 @@ impl Faces {
         let face_of_each = (0..).zip(&counts).flat_map(|(face, &count)| repeat_n(face, count as usize));
         let grouped: Vec<[u32; 4]> =
             self.points.iter().zip(face_of_each).map(|(point, face)| grouped_point(*point, face)).collect();
-        let most = faces.min(count as usize / (max_short as usize + 1));
-        let listed = listed_faces(&counts, max_short, max_middle, (LIST_HEAD + most).max(4));
+        let most = faces.min(count as usize / (max_short as usize + 1)) + most_long as usize;
+        let listed = listed_faces(&counts, workspace.parameters(), LIST_HEAD + most);
         let mut inputs = vec![
             ("offsets", bytemuck::cast_slice(&self.offsets)),
             ("grouped", bytemuck::cast_slice(&grouped)),
@@ -205,15 +207,16 @@ type Way = (&'static Device, &'static str, Vec<(u32, u32)>);
 
 fn ways() -> Vec<Way> {
     let mut ways = Vec::new();
-    // Where the device is no program, another pass measures the faces that one invocation could.
+    // Where the device is not known to be a program, another pass measures the faces that one invocation could.
     let all = |device: &Device| {
-        let few = u32::from(!device.exact);
+        let adapter = device.engine.adapter();
+        let few = u32::from(!adapter.is_some_and(|adapter| adapter.is_software()));
         LANES.into_iter().zip(MEANS).filter(move |(lanes, _)| *lanes > few)
     };
-    if let Some(device) = device()
-        && let Some(width) = device.engine.subgroup_width()
-    {
-        ways.push((device, "measure_short", all(device).filter(|(lanes, _)| *lanes <= width).collect()));
+    for device in [device(), device_of_a_host()].into_iter().flatten() {
+        if let Some(width) = device.engine.subgroup_width() {
+            ways.push((device, "measure_short", all(device).filter(|(lanes, _)| *lanes <= width).collect()));
+        }
     }
     if let Some(device) = device_without_subgroups() {
         ways.push((device, "measure_short_shared", all(device).collect()));
@@ -314,25 +317,58 @@ fn faces_of_few_points_are_the_cpu_s() {
     }
 }
 
+/// Faces of up to and beyond that many points, so many on average that none is a short one.
+fn long_sizes(most: u32) -> Vec<u32> {
+    let mut sizes =
+        vec![257, 256, 258, 511, 512, 513, 0, 1, 2, 3, 1000, 4096, most - 1, most, most + 1, 2 * most];
+    sizes.resize(60, 20);
+    sizes
+}
+
 #[test]
 fn measure_long_is_its_twins() {
-    let Some(device) = device() else { return };
-    let mut sizes = vec![257, 256, 258, 511, 512, 513, 0, 1, 2, 3, 1000, 4096, 65_537, 100_000];
-    sizes.resize(60, 20);
+    let Some(device) = device_of_a_host() else { return };
     for pattern in PATTERNS {
         for (outliers, statistic) in all_rules() {
             let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
-            // So many points per face on average that none is a short one.
-            let faces = Faces::new(&settings, &sizes, pattern);
+            let faces = Faces::new(&settings, &long_sizes(50_000), pattern);
             let count = faces.points.len() as u32;
             let workspace = device.engine.prepare(count, RADIUS_MM, &settings).unwrap();
-            assert_eq!(workspace.parameters().max_short, 0);
+            assert_eq!([workspace.parameters().max_short, workspace.parameters().max_narrow], [0, 0]);
             faces.agrees(device, &settings, "measure_long");
             faces.agrees(device, &settings, "measure_long_keyed");
             if device.engine.device().limits().max_compute_invocations_per_workgroup >= 1024 {
                 faces.agrees(device, &settings, "measure_long_wide");
             }
         }
+    }
+}
+
+#[test]
+fn measure_narrow_is_its_twin_and_leaves_longer_faces_to_workgroups() {
+    let Some(device) = device().filter(|device| device.is_narrow()) else { return };
+    let agrees = |settings: &Settings, sizes: &[u32], pattern: Pattern, most: u32| {
+        let faces = Faces::new(settings, sizes, pattern);
+        let workspace = device.engine.prepare(faces.points.len() as u32, RADIUS_MM, settings).unwrap();
+        assert_eq!([workspace.parameters().max_short, workspace.parameters().max_narrow], [0, most]);
+        faces.agrees(device, settings, "measure_narrow");
+        if sizes.iter().any(|&size| size > most) {
+            faces.agrees(device, settings, "measure_long");
+        }
+    };
+    for (outliers, statistic) in all_rules() {
+        let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
+        for pattern in PATTERNS {
+            let mut sizes = long_sizes(4096);
+            sizes[59] = 9000;
+            agrees(&settings, &sizes, pattern, 4096);
+        }
+        // Twice the mean, at most, and all where there are few.
+        let settings = settings.with_nodes(3).with_levels(1);
+        agrees(&settings, &[24_000, 5999, 6001], Pattern::Random, 24_000);
+        agrees(&settings, &[24_001, 5999, 6000], Pattern::Sorted, 24_000);
+        agrees(&settings, &[32_768, 32_769, 65_536], Pattern::Skewed, 32_768);
+        agrees(&settings, &[300, 30_000, 2_468], Pattern::Random, 32_768);
     }
 }
 
@@ -359,15 +395,19 @@ fn with_others(mut sizes: Vec<u32>, mean: u32) -> (Settings, Vec<u32>) {
 }
 
 /// The lanes of a face of middle size, where there is one.
-fn middle_lanes(lanes: u32) -> Option<u32> {
-    (lanes < 32).then_some((8 * lanes).min(32))
+fn middle_lanes(device: &Device, lanes: u32) -> Option<u32> {
+    let (growth, most) = match device.engine.subgroup_width() {
+        Some(width) if device.is_narrow() => (2, width),
+        _ => (8, 32),
+    };
+    (lanes < most).then_some((growth * lanes).min(most))
 }
 
 #[test]
 fn measure_middle_is_its_twin_with_every_number_of_lanes() {
     for (device, _, lanes_and_means) in ways() {
         for (lanes, mean) in lanes_and_means {
-            let Some(middle) = middle_lanes(lanes) else { continue };
+            let Some(middle) = middle_lanes(device, lanes) else { continue };
             let width = device.engine.subgroup_width();
             let pass = match width.is_some_and(|width| middle <= width) {
                 true => "measure_middle",
@@ -390,13 +430,14 @@ fn measure_middle_is_its_twin_with_every_number_of_lanes() {
 fn measure_long_begins_right_above_each_capacity() {
     for (device, _, lanes_and_means) in ways() {
         for (lanes, mean) in lanes_and_means {
-            let capacity = 8 * middle_lanes(lanes).unwrap_or(lanes);
+            let capacity = 8 * middle_lanes(device, lanes).unwrap_or(lanes);
             let (settings, sizes) =
                 with_others(vec![capacity + 1, capacity, capacity + 2, 2 * capacity], mean);
             let faces = Faces::new(&settings, &sizes, Pattern::Random);
             let workspace = device.engine.prepare(300 * mean, RADIUS_MM, &settings).unwrap();
             assert_eq!(workspace.parameters().max_middle, capacity);
-            faces.agrees(device, &settings, "measure_long");
+            let pass = if device.is_narrow() { "measure_narrow" } else { "measure_long" };
+            faces.agrees(device, &settings, pass);
         }
     }
 }
@@ -404,7 +445,7 @@ fn measure_long_begins_right_above_each_capacity() {
 /// More faces of middle size, of several cylinders, than workgroups have room for at a time.
 #[test]
 fn many_faces_of_middle_size_are_all_measured() {
-    for (device, _, _) in ways() {
+    for (device, _, _) in ways().into_iter().filter(|(device, ..)| !device.is_narrow()) {
         let settings = Settings::default().with_nodes(100).with_levels(90);
         let sizes: Vec<u32> = (0..9000).map(|face| if face % 3 == 0 { 9 + face % 50 } else { 0 }).collect();
         let mean = sizes.iter().sum::<u32>() / 9000;
@@ -419,10 +460,13 @@ fn many_faces_of_middle_size_are_all_measured() {
 
 #[test]
 fn more_long_faces_than_workgroups_are_all_measured() {
-    let Some(device) = device() else { return };
     // At most 1024 workgroups take the long faces in turn.
     let settings = Settings::default().with_nodes(50).with_levels(30);
-    Faces::new(&settings, &[300; 1500], Pattern::Random).agrees(device, &settings, "measure_long");
+    let faces = Faces::new(&settings, &[300; 1500], Pattern::Random);
+    for device in [device(), device_of_a_host()].into_iter().flatten() {
+        let pass = if device.is_narrow() { "measure_narrow" } else { "measure_long" };
+        faces.agrees(device, &settings, pass);
+    }
 }
 
 #[test]

@@ -100,12 +100,14 @@ const TWINS: [(&str, &str); 5] = [
 ];
 
 /// Shaders without a twin, and the reason.
-const WITHOUT_TWIN: [(&str, &str); 9] = [
+const WITHOUT_TWIN: [(&str, &str); 11] = [
     ("shaders/cylinders/common/point_key.wgsl", "it puts a distance and its key together"),
     ("shaders/cylinders/common/listing.wgsl", "it is a part of passes whose twin lists faces"),
     ("shaders/cylinders/common/points.wgsl", "it is a part of bin and scatter"),
     ("shaders/cylinders/group_few.wgsl", "it does what bin, the prefix sums and scatter do"),
     ("shaders/cylinders/common/eight_keys.wgsl", "it is a part of the passes over faces with few points"),
+    ("shaders/cylinders/common/statistic.wgsl", "it is a part of the passes over faces, whose twins have it"),
+    ("shaders/cylinders/measure_narrow.wgsl", "it does what measure_long does, with other invocations"),
     ("shaders/cylinders/measure_few.wgsl", "it does what measure_short does, with other invocations"),
     ("shaders/sweep/common/climb.wgsl", "it keeps in registers what the CPU reads again"),
     ("shaders/common/dispatch.wgsl", "it numbers workgroups, which the CPU does not have"),
@@ -239,8 +241,8 @@ macro_rules! fields {
 #[test]
 fn structures_have_the_same_layout() {
     let parameters = fields!(FitParameters: nodes, levels, faces, node_count, cylinders, slots, outliers, statistic,
-        half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, max_short, max_middle, pairs,
-        window, last);
+        half_height, step_theta, step_z, faces_per_rad, faces_per_mm, single, max_short, max_middle, max_narrow,
+        most_long, pairs, window, last);
     let cylinder = fields!(DeviceCylinder: gate_low, gate_high, scale, unit);
     for pass in fit() {
         assert_eq!(layout(&module(pass), "FitParameters"), parameters, "{}", pass.name);

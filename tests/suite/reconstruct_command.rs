@@ -66,6 +66,8 @@ fn settings_outside_their_limits_are_refused() {
         (&["--levels", "0"], "lumenmesh: setting levels: found 0, expected at least 1"),
         (&["--height", "0"], "lumenmesh: setting height_mm: found 0.0, expected 0.001 to 10000 mm"),
         (&["--height", "-1"], "lumenmesh: setting height_mm: found -1.0, expected 0.001 to 10000 mm"),
+        (&["--roughness", "-1"], "lumenmesh: setting sweep.roughness: found -1.0, expected 1e-6 to 1000"),
+        (&["--half-life", "-1"], "lumenmesh: setting sweep.half_life_s: found -1.0, expected 0.001 to 1e9 s"),
         (&["--gate", "1.5,0.5"], "lumenmesh: setting gate: found [1.5, 0.5], expected 0 <= low < high"),
         (&["--every", "0"], "lumenmesh: setting every: found 0, expected at least 1"),
         (

@@ -1,13 +1,4 @@
-// What the passes over faces with few points share: eight keys of an invocation, and a triangle's statistic.
-
-@group(0) @binding(0) var<uniform> parameters: FitParameters;
-@group(0) @binding(1) var<storage, read> cylinders: array<Cylinder>;
-@group(0) @binding(2) var<storage, read> offsets: array<u32>;
-@group(0) @binding(3) var<storage, read> grouped: array<vec4u>;
-@group(0) @binding(4) var<storage, read> radii: array<f32>;
-// Face after face, its bottom triangle's and its top one's.
-@group(0) @binding(5) var<storage, read_write> triangle_values: array<u32>;
-@group(0) @binding(6) var<storage, read_write> triangle_support: array<TriangleSupport>;
+// Eight keys of an invocation: what the passes over faces with few points share.
 
 struct Keys {
     a: vec4u,
@@ -61,18 +52,7 @@ fn own_key_at(k: Keys, rank: u32) -> u32 {
     return select(two.x, two.y, (rank & 1u) != 0u);
 }
 
-// What is known of a face's keys, of its bottom triangle and its top one.
-struct Sums {
-    kept: vec2u,
-    below: vec2u,
-    // Fixed-point sums in two parts: of the lower 16 bits and of the rest.
-    low: vec2u,
-    high: vec2u,
-    low_size: vec2u,
-    high_size: vec2u,
-}
-
-// The same of an invocation's keys, x of all, y of those of the top triangle. `size` has the numbers kept from bit
+// What is known of an invocation's keys, x of all, y of those of the top triangle. `size` has the numbers kept from bit
 // 23 on, since no face has more than 256 keys, and the upper parts of their sizes have 15 bits each.
 struct OwnSums {
     below: vec2u,
@@ -136,38 +116,4 @@ fn face_sums(own: OwnSums) -> Sums {
 // Bottom and top, from both and top.
 fn apart(sum: vec2u) -> vec2u {
     return vec2u(sum.x - sum.y, sum.y);
-}
-
-fn join(low: u32, high: u32) -> Wide {
-    let shifted = Wide(high << 16u, bitcast<u32>(bitcast<i32>(high) >> 16u));
-    return add_wide(shifted, Wide(low, 0u));
-}
-
-fn bounds_of(half: u32, n: u32, quartiles: vec2f, all: Sums, unit: f32) -> Bounds {
-    if (n < 2u || parameters.outliers == OUTLIERS_NONE) {
-        return EVERYTHING;
-    }
-    if (parameters.outliers == OUTLIERS_DEVIATION) {
-        return deviation(mean_of(join(all.low[half], all.high[half]), unit, n));
-    }
-    return box_plot(quartiles.x, quartiles.y);
-}
-
-fn write_triangle(triangle: u32, half: u32, sums: Sums, median_key: u32, unit: f32) {
-    let kept = sums.kept[half];
-    var word = NO_VALUE;
-    if (kept > 0u) {
-        word = value_word(mean_of(join(sums.low[half], sums.high[half]), unit, kept));
-        if (parameters.statistic == STATISTIC_MEDIAN) {
-            word = value_word(unpacked(median_key, unit));
-        }
-    }
-    triangle_values[triangle] = word;
-    if (parameters.last == 1u) {
-        var residual = 0.0;
-        if (kept > 0u) {
-            residual = mean_of(join(sums.low_size[half], sums.high_size[half]), unit, kept);
-        }
-        triangle_support[triangle] = TriangleSupport(kept, residual);
-    }
 }

@@ -19,6 +19,10 @@ struct FitParameters {
     // Largest number of points of a short face, and of one of middle size.
     max_short: u32,
     max_middle: u32,
+    // Largest number of points of a face that a subgroup measures, and the most long faces, which have more; no more than
+    // `max_middle` and 0 where workgroups measure all that have more than that.
+    max_narrow: u32,
+    most_long: u32,
     pairs: u32,
     // Faces whose points are grouped at a time.
     window: u32,
@@ -49,12 +53,13 @@ fn value_word(value: f32) -> u32 {
 }
 
 // In front of the list of faces that are not short: the number of long ones, the number of those that were
-// measured to the end, and the number of faces of middle size. Long faces follow; the others are listed from the
-// end of the buffer backwards.
+// measured to the end, the number of faces of middle size, and the number of those that a subgroup measures. Long faces
+// follow, behind room for all of them those of a subgroup; the others are listed from the end of the buffer backwards.
 const LONG_COUNT: u32 = 0u;
 const LONG_DONE: u32 = 1u;
 const MIDDLE_COUNT: u32 = 2u;
-const FIRST_LISTED: u32 = 3u;
+const NARROW_COUNT: u32 = 3u;
+const FIRST_LISTED: u32 = 4u;
 
 const NONE: u32 = 0xffffffffu;
 const OUTLIERS_IQR: u32 = 0u;

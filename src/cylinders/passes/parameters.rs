@@ -175,8 +175,13 @@ pub struct FitParameters {
     pub single: u32,
     /// Largest number of points of a short face. 0: every face with points is a long one.
     pub max_short: u32,
-    /// Largest number of points of a face of middle size; a whole workgroup measures a face with more.
+    /// Largest number of points of a face of middle size.
     pub max_middle: u32,
+    /// Largest number of points of a face that a subgroup measures, where it does: as a rule no more than `max_middle`. A whole
+    /// workgroup measures a face with more, a long one.
+    pub max_narrow: u32,
+    /// Most long faces that there can be, where a subgroup measures the others.
+    pub most_long: u32,
     /// Pairs of cylinder and frame.
     pub pairs: u32,
     /// Faces of the batch whose points `scatter` writes at a time.
@@ -222,6 +227,8 @@ impl FitParameters {
             single: u32::from(pairs.is_none()),
             max_short: 8 * short_lanes,
             max_middle: 8 * short_lanes.max(middle_lanes),
+            max_narrow: 8 * short_lanes.max(middle_lanes),
+            most_long: 0,
             pairs: pairs.unwrap_or(0),
             window: cylinders.saturating_mul(tube.face_count() as u32).max(1),
             last: 1,

@@ -1,5 +1,6 @@
 //! Third step of the prefix sum over the faces' counts.
 
+use super::FitParameters;
 use super::scan_reduce::BLOCK;
 use crate::numerics::inclusive_scan;
 
@@ -17,24 +18,28 @@ pub fn scan_downsweep(counts: &[u32], block_sums: &[u32]) -> Vec<u32> {
 }
 
 /// Words in front of a [list of faces](listed_faces).
-pub const LIST_HEAD: usize = 3;
+pub const LIST_HEAD: usize = 4;
 
 /// The list, that many words long, of the faces with more than `max_short` points: the number of long faces, which
-/// have more than `max_middle`; a word in which `measure_long` counts; and the number of the others. Then come the
-/// long faces in ascending order, and from the end backwards the others; the device lists each in any order.
-pub fn listed_faces(counts: &[u32], max_short: u32, max_middle: u32, words: usize) -> Vec<u32> {
-    let (mut list, mut long, mut others) = (vec![0; words], 0, 0);
+/// have more than `max_narrow`; a word in which those that were measured are counted; the number of faces with up to
+/// `max_middle` points, and of those with more that are not long. Then come the long faces in ascending order, behind room for
+/// `most_long` those that are not, and from the end backwards the others; the device lists each in any order.
+pub fn listed_faces(counts: &[u32], parameters: &FitParameters, words: usize) -> Vec<u32> {
+    let FitParameters { max_short, max_middle, max_narrow, most_long, .. } = *parameters;
+    let (mut list, mut long, mut middle, mut narrow) = (vec![0; words], 0, 0, 0);
     for (face, &count) in (0..).zip(counts) {
-        if count > max_middle {
+        if count > max_narrow {
             list[LIST_HEAD + long] = face;
             long += 1;
+        } else if count > max_middle {
+            list[LIST_HEAD + most_long as usize + narrow] = face;
+            narrow += 1;
         } else if count > max_short {
-            others += 1;
-            list[words - others] = face;
+            middle += 1;
+            list[words - middle] = face;
         }
     }
-    list[0] = long as u32;
-    list[2] = others as u32;
+    [list[0], list[2], list[3]] = [long, middle, narrow].map(|count| count as u32);
     list
 }
 
@@ -42,12 +47,22 @@ pub fn listed_faces(counts: &[u32], max_short: u32, max_middle: u32, words: usiz
 mod tests {
     use super::*;
     use crate::cylinders::passes::{scan_reduce, scan_spine};
+    use crate::settings::Settings;
 
     #[test]
     fn a_face_is_listed_only_above_a_bound() {
-        assert_eq!(listed_faces(&[4, 5, 0, 4, 7, 8], 4, 7, 7), [1, 0, 2, 5, 0, 4, 1]);
-        assert_eq!(listed_faces(&[5, 4], 4, 4, 4), [1, 0, 0, 0]);
-        assert_eq!(listed_faces(&[], 4, 7, 3), [0; 3]);
+        let of = |[short, middle, narrow]: [u32; 3], most_long| FitParameters {
+            max_short: short,
+            max_middle: middle,
+            max_narrow: narrow,
+            most_long,
+            ..FitParameters::new(&Settings::default(), 1, 0, None, [0, 0])
+        };
+        assert_eq!(listed_faces(&[4, 5, 0, 4, 7, 8], &of([4, 7, 7], 0), 8), [1, 0, 2, 0, 5, 0, 4, 1]);
+        let counts = [4, 5, 0, 9, 7, 8, 10];
+        assert_eq!(listed_faces(&counts, &of([4, 7, 8], 3), 10), [2, 0, 2, 1, 3, 6, 0, 5, 4, 1]);
+        assert_eq!(listed_faces(&[5, 4], &of([4, 4, 4], 0), 5), [1, 0, 0, 0, 0]);
+        assert_eq!(listed_faces(&[], &of([4, 7, 9], 0), 4), [0; 4]);
     }
 
     #[test]

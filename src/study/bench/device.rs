@@ -204,9 +204,10 @@ const FLOPS_PER_DISTANCE: u64 = 140;
 /// The amount of work of the passes of a fit.
 struct Work {
     points: u64,
-    /// Those in short faces, in faces of middle size, and in long ones.
+    /// Those in short faces, in faces of middle size, and in long ones that a subgroup measures, or a workgroup.
     short: u64,
     middle: u64,
+    narrow: u64,
     long: u64,
     faces: u64,
     nodes: u64,
@@ -219,12 +220,14 @@ impl Work {
         let groups = group(section, &Tube::new(settings));
         let counts = groups.offsets.windows(2).map(|w| w[1] - w[0]);
         let above = |most: u32| -> u64 { counts.clone().filter(|&n| n > most).map(u64::from).sum() };
-        let (points, long) = (section.len() as u64, above(job.max_middle));
-        let short = points - above(job.max_short);
+        let points = section.len() as u64;
+        let (short, long) = (points - above(job.max_short), above(job.max_narrow));
+        let narrow = above(job.max_middle) - long;
         Self {
             points,
             short,
-            middle: points - short - long,
+            middle: points - short - narrow - long,
+            narrow,
             long,
             faces: u64::from(job.faces),
             nodes: u64::from(job.node_count),
@@ -234,7 +237,7 @@ impl Work {
 
     /// Bytes and floating-point operations of a pass over a fit.
     fn of_pass(&self, pass: &str) -> (u64, u64) {
-        let Self { points, short, middle, long, faces, nodes, iterations } = *self;
+        let Self { points, short, middle, narrow, long, faces, nodes, iterations } = *self;
         let flops = |points: u64| iterations * FLOPS_PER_DISTANCE * points;
         match pass {
             "bin" | "bin_few" => ((8 + 8) * points + 4 * faces, 0),
@@ -248,6 +251,8 @@ impl Work {
                 (iterations * (16 * short + (4 + 8) * faces + 4 * nodes) + 16 * faces, flops(short))
             }
             "measure_middle" | "measure_middle_shared" => (iterations * 16 * middle, flops(middle)),
+            // Keys are written once, and read in some six rounds, for the extremes of intervals and for the sums.
+            "measure_narrow" => (iterations * (16 + 4 + 8 * 4) * narrow, flops(narrow)),
             // Keys are written once, and read in each of four rounds and for the sums.
             "measure_long" => (iterations * (16 + 4 + 6 * 4) * long, flops(long)),
             "distance" => (iterations * (16 + 4) * points, flops(points)),

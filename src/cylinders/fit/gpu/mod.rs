@@ -17,7 +17,7 @@ use super::sealed::Sealed;
 use super::{
     DeformedTube, Engine, EngineDescription, Fit, FitRequest, FittedCylinder, SectionFit, check_section,
 };
-use crate::cylinders::passes::{DeviceCylinder, DevicePair, Section};
+use crate::cylinders::passes::{DeviceCylinder, DevicePair, LIST_HEAD, Section};
 use crate::cylinders::track::{NearFrame, empty_section};
 use crate::cylinders::tube::Tube;
 use crate::error::unless_cancelled;
@@ -299,7 +299,7 @@ impl GpuEngine {
             ("travels", workspace.travel_stride() * iterations),
             ("tallies", 8 * cylinders),
             ("gated", 4 * cylinders),
-            ("listed_faces", 8),
+            ("listed_faces", 4 * LIST_HEAD as u64),
             ("history", if history { 4 * nodes * (iterations + 1) } else { 0 }),
         ];
         let parts = parts.map(|(name, bytes)| (workspace.buffer(name), bytes));
@@ -308,9 +308,9 @@ impl GpuEngine {
             workspace.record(context, passes, encoder, done, history, timer)
         };
         let read = |views: &[&[u8]]| {
-            // Every long face must have been measured in every iteration of the device.
-            let [listed, finished] = [0, 1].map(|i| bytemuck::cast_slice::<u8, u32>(views[6])[i]);
-            let expected = listed.wrapping_mul(settings.iterations - done.iterations());
+            // Every face with many points must have been measured in every iteration of the device.
+            let [long, finished, narrow] = [0, 1, 3].map(|i| bytemuck::cast_slice::<u8, u32>(views[6])[i]);
+            let expected = (long + narrow).wrapping_mul(settings.iterations - done.iterations());
             match finished == expected {
                 true => {
                     Ok(Results::new(views, count, workspace.travel_stride()).tubes(tube, settings, radii_mm))

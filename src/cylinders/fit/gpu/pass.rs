@@ -48,6 +48,8 @@ pub enum Items {
     MiddleFaces,
     /// The same without subgroups.
     MiddleFacesShared,
+    /// A subgroup per long face, on a software device with subgroups.
+    LongFacesNarrow,
     /// Workgroups that take the long faces in turn, where they have not so many points that `distance` comes
     /// first.
     LongFaces,
@@ -73,6 +75,7 @@ const SCAN: &str = include_str!("../../../../shaders/common/scan.wgsl");
 const PARAMETERS: &str = include_str!("../../../../shaders/cylinders/common/parameters.wgsl");
 const DISTANCE: &str = include_str!("../../../../shaders/cylinders/common/distance.wgsl");
 const FILL: &str = include_str!("../../../../shaders/cylinders/common/fill.wgsl");
+const STATISTIC: &str = include_str!("../../../../shaders/cylinders/common/statistic.wgsl");
 const EIGHT_KEYS: &str = include_str!("../../../../shaders/cylinders/common/eight_keys.wgsl");
 const MEASURE_SHORT: &str = include_str!("../../../../shaders/cylinders/common/measure_short.wgsl");
 const LISTING: &str = include_str!("../../../../shaders/cylinders/common/listing.wgsl");
@@ -100,7 +103,7 @@ macro_rules! pass {
 }
 
 /// Every pass, in the order in which they run.
-pub static PASSES: [Pass; 20] = [
+pub static PASSES: [Pass; 21] = [
     pass!("project", Project, Pairs, 64, [DISPATCH, ANGLE], [
         "cylinders": Read, "points": Read, "pairs": Read, "section": Write, "owners": Write, "gated": Write,
     ], { preamble: angle_constants }),
@@ -124,34 +127,40 @@ pub static PASSES: [Pass; 20] = [
     pass!("scatter", Group, Slots, 256, [DISPATCH, POINTS], [
         "section": Read, "owners": Read, "places": Read, "offsets": Read, "grouped": Write,
     ]),
-    pass!("measure_few", Iterate, FewFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS], [
+    pass!("measure_few", Iterate, FewFaces, 128, [DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, STATISTIC, EIGHT_KEYS], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write,
     ]),
     pass!("measure_short", Iterate, ShortFaces, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS, MEASURE_SHORT
+        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, STATISTIC, EIGHT_KEYS, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
     ], { constants: &[("MIDDLE", 0.0)], variants: Some(("LANES", &LANES)), subgroups: true }),
     pass!("measure_short_shared", Iterate, ShortFacesShared, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS, MEASURE_SHORT
+        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, STATISTIC, EIGHT_KEYS, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
     ], { constants: &[("MIDDLE", 0.0)], variants: Some(("LANES", &LANES)) }),
     pass!("measure_middle" in "measure_short", Iterate, MiddleFaces, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS, MEASURE_SHORT
+        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, STATISTIC, EIGHT_KEYS, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
     ], { constants: &[("MIDDLE", 1.0)], variants: Some(("LANES", &MIDDLE_LANES)), subgroups: true }),
     pass!("measure_middle_shared" in "measure_short_shared", Iterate, MiddleFacesShared, 128, [
-        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS, MEASURE_SHORT
+        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, STATISTIC, EIGHT_KEYS, MEASURE_SHORT
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
     ], { constants: &[("MIDDLE", 1.0)], variants: Some(("LANES", &MIDDLE_LANES)) }),
+    pass!("measure_narrow", Iterate, LongFacesNarrow, 32, [
+        DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS, STATISTIC
+    ], [
+        "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
+        "triangle_support": Write, "listed_faces": Write, "keys": Write,
+    ], { subgroups: true }),
     pass!("measure_long", Iterate, LongFaces, 256, [DISPATCH, DISTANCE, SCALAR, SCAN, FILTER, POINT_KEY], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Write, "keys": Write,
@@ -184,7 +193,7 @@ pub static PASSES: [Pass; 20] = [
 pub const LANES: [u32; 6] = [1, 2, 4, 8, 16, 32];
 
 /// The same for `measure_middle`.
-const MIDDLE_LANES: [u32; 3] = [8, 16, 32];
+const MIDDLE_LANES: [u32; 5] = [2, 4, 8, 16, 32];
 
 /// The constants of the arc tangent.
 fn angle_constants() -> String {

@@ -3,9 +3,7 @@
 use super::FitWorkspace;
 use crate::cylinders::fit::DeformedTube;
 use crate::cylinders::fit::cpu::Deformation;
-use crate::cylinders::passes::{
-    FitParameters, NONE, Section, TriangleStatistic, grouped_point, listed_faces,
-};
+use crate::cylinders::passes::{NONE, Section, TriangleStatistic, grouped_point, listed_faces};
 use crate::gpu::{Context, GpuError, checked};
 use crate::settings::Settings;
 
@@ -126,9 +124,8 @@ pub(super) fn run_on_cpu(
     }
     write("offsets", bytemuck::cast_slice(&offsets))?;
     let counts: Vec<u32> = offsets.windows(2).map(|ends| ends[1] - ends[0]).collect();
-    let FitParameters { max_short, max_middle, .. } = *workspace.parameters();
     let words = workspace.buffer("listed_faces").size() as usize / 4;
-    let listed = listed_faces(&counts, max_short, max_middle, words);
+    let listed = listed_faces(&counts, workspace.parameters(), words);
     write("listed_faces", bytemuck::cast_slice(&listed))?;
     write("grouped", bytemuck::cast_slice(&points))?;
     if stages.iterations() > 0 {

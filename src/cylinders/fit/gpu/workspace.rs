@@ -3,7 +3,7 @@
 use super::pass::{Items, LANES, Pass, Stage};
 use super::{CpuStages, ReadyPass};
 use crate::cylinders::passes::{DeviceCylinder, DevicePair, FitParameters, LIST_HEAD};
-use crate::gpu::{Buffers, Context, GpuError, LARGE_WORKGROUP, Timer, dispatch_size};
+use crate::gpu::{Buffers, Context, GpuError, LARGE_WORKGROUP, NARROW_WORKGROUP, Timer, dispatch_size};
 use crate::settings::Settings;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -29,6 +29,7 @@ pub struct FitWorkspace {
     /// Whether the device has workgroups of [`LARGE_WORKGROUP`] invocations.
     wide: bool,
     middle_groups: u32,
+    narrow_groups: u32,
     long_groups: u32,
     buffers: Buffers,
     /// Bind groups by pass: `update`'s by iteration, those of the passes before it for the last iteration and for
@@ -43,6 +44,8 @@ pub struct FitWorkspace {
 pub(super) struct Plan {
     parameters: FitParameters,
     classes: Classes,
+    /// Invocations per long face, where a subgroup measures it.
+    narrow: Option<u32>,
     shared_faces: bool,
     travel_stride: u64,
     sizes: Vec<(&'static str, u64)>,
@@ -67,7 +70,8 @@ impl Plan {
             Points::Section { count } => (u64::from(*count), 0, None),
         };
         let width = context.subgroup_width().filter(|_| subgroups);
-        let classes = Classes::new(slots, faces, width, context.is_software());
+        let narrow = context.narrow_width().filter(|_| subgroups);
+        let classes = Classes::new(slots, faces, width, narrow, context.is_software());
         // Slots are numbered in u32, whatever the device could hold.
         let slot_count = u32::try_from(slots).map_err(|_| GpuError::TooLarge {
             name: "section".into(),
@@ -75,6 +79,12 @@ impl Plan {
             allowed: 12 * u64::from(u32::MAX),
         })?;
         let mut parameters = FitParameters::new(settings, cylinders, slot_count, pairs, classes.lanes());
+        if narrow.is_some() {
+            let twice_mean = (2 * slots / faces.max(1)).clamp(LEAST_NARROW, MOST_NARROW);
+            // Few points make no long face, so that no workgroup has to look for one.
+            parameters.max_narrow = if slots <= MOST_NARROW { MOST_NARROW } else { twice_mean } as u32;
+            parameters.most_long = most_above(&parameters, parameters.max_narrow) as u32;
+        }
         // One window where the points fit a cache anyhow, or the device is a program that has no more than
         // the CPU's.
         if slot_count > WINDOW && !context.is_software() {
@@ -89,7 +99,7 @@ impl Plan {
             && classes.short.lanes == 0
             && slots >= SHARED_FACE * faces
             && !context.is_software();
-        Ok(Self { parameters, classes, shared_faces, travel_stride, sizes })
+        Ok(Self { parameters, classes, narrow, shared_faces, travel_stride, sizes })
     }
 }
 
@@ -161,8 +171,14 @@ pub(super) fn sizes(
         ("block_sums", 4 * faces.div_ceil(1024)),
         ("offsets", 4 * (faces + 1)),
         ("grouped", 16 * slots),
-        ("listed_faces", 4 * (LIST_HEAD as u64 + most_above(parameters, parameters.max_short))),
-        ("keys", if slots > u64::from(parameters.max_short) { 4 * slots } else { 4 }),
+        (
+            "listed_faces",
+            4 * (LIST_HEAD as u64
+                + u64::from(parameters.most_long)
+                + most_above(parameters, parameters.max_short)),
+        ),
+        // Some passes take four at a time.
+        ("keys", if slots > u64::from(parameters.max_short) { 4 * slots.next_multiple_of(4) } else { 16 }),
         ("primitive", 4 * nodes),
         ("radii", 4 * nodes),
         // Two triangles each.
@@ -207,14 +223,18 @@ const EIGHTS_OF_FEW: u32 = 2;
 impl Classes {
     /// The classes for a number of points and faces. Points are spread over the faces about evenly more often
     /// than not: two standard deviations of such a spread still fit a short face, and more faces would be listed
-    /// if it were less. `width` is that of the device's subgroups.
-    fn new(slots: u64, faces: u64, width: Option<u32>, software: bool) -> Self {
+    /// if it were less. `width` is that of the device's subgroups, `narrow` where one of them measures a long face.
+    fn new(slots: u64, faces: u64, width: Option<u32>, narrow: Option<u32>, software: bool) -> Self {
         let mean = slots as f64 / faces.max(1) as f64;
         let most = mean + 2.0 * mean.sqrt();
         let short = LANES.into_iter().find(|&lanes| f64::from(8 * lanes) >= most).unwrap_or(0);
+        // On a software device lanes without points take as long as others, and more than a subgroup has wait for each other.
+        let (growth, most) = narrow.map_or((8, 32), |width| (2, width));
+        let short = if short <= most { short } else { 0 };
         let middle = match short {
-            0 | 32 => 0,
-            lanes => (8 * lanes).min(32),
+            0 => 0,
+            lanes if lanes == most => 0,
+            lanes => (growth * lanes).min(most),
         };
         let class = |lanes| Class { lanes, subgroups: width.is_some_and(|width| lanes <= width) };
         // On a software device the barriers cost more than the distances that they save.
@@ -238,6 +258,14 @@ const PARAMETERS_STRIDE: u64 = 256;
 
 /// Points that `scatter` writes at a time, about: 67 MB of them, most of which a large cache holds.
 const WINDOW: u32 = 1 << 22;
+
+/// Points of the largest face that a subgroup measures: twice the mean, within these bounds.
+const LEAST_NARROW: u64 = 1 << 12;
+const MOST_NARROW: u64 = 1 << 15;
+
+/// Most points of the faces that a subgroup measures in turn: some 44 / 32 rounds of its loops for each at worst, of which
+/// llvmpipe allows 65,535 in all. With fewer faces more subgroups have none, and take as long as for one.
+const NARROW_POINTS: u32 = 40_000;
 
 /// Points per face on average from which several workgroups share a face's distances.
 const SHARED_FACE: u64 = 2048;
@@ -276,7 +304,7 @@ impl FitWorkspace {
         settings: &Settings,
         kept: Option<Self>,
     ) -> Result<Self, GpuError> {
-        let Plan { parameters, classes, shared_faces, travel_stride, sizes } = plan;
+        let Plan { parameters, classes, narrow, shared_faces, travel_stride, sizes } = plan;
         let iterations = settings.iterations;
         let known = kept.as_ref().is_some_and(|kept| {
             kept.radii_mm == radii_mm && kept.parameters.node_count == parameters.node_count
@@ -300,7 +328,11 @@ impl FitWorkspace {
             shared_faces,
             wide: context.has_workgroups_of(LARGE_WORKGROUP),
             middle_groups: groups_in_turn(context, middle_blocks) as u32,
-            long_groups: groups_in_turn(context, most_above(&parameters, parameters.max_middle)) as u32,
+            narrow_groups: narrow.map_or(0, |width| {
+                let faces = NARROW_WORKGROUP / width * (NARROW_POINTS / parameters.max_narrow);
+                most_above(&parameters, parameters.max_middle).div_ceil(u64::from(faces)) as u32
+            }),
+            long_groups: groups_in_turn(context, most_above(&parameters, parameters.max_narrow)) as u32,
             buffers,
             bind_groups,
             travel_stride,
@@ -389,6 +421,7 @@ impl FitWorkspace {
                 (parameters.faces.div_ceil(size / self.classes.short.lanes.max(1)), parameters.cylinders)
             }
             Items::MiddleFaces | Items::MiddleFacesShared => (self.middle_groups, 1),
+            Items::LongFacesNarrow => (self.narrow_groups, 1),
             Items::LongFaces | Items::KeyedFaces | Items::KeyedFacesWide => (self.long_groups, 1),
             Items::Points => (parameters.slots.div_ceil(size), 1),
             Items::Nodes => (parameters.node_count.div_ceil(size), parameters.cylinders),
