@@ -268,6 +268,33 @@ fn wrong_contours_are_left_out() {
 }
 
 #[test]
+fn bursts_at_the_ends_of_a_recording_are_left_out_as_those_within_are() {
+    for by in [0.55, 1.45] {
+        for burst in [0..20, 50..70, 100..120, 0..24, 96..120] {
+            let mut recording = bent();
+            let contours = recording.frames[burst.clone()].iter_mut().map(|f| &mut f.contour_mm);
+            contours.flatten().for_each(|p| *p *= by);
+            let expected: Vec<(usize, Reason)> = burst.map(|k| (k, Reason::OffShape)).collect();
+            assert_eq!(reasons(&recording), expected);
+            let mut live = Live::new(&Settings::default()).unwrap();
+            let mut left_out: Vec<usize> = Vec::new();
+            let numbers = |left_out: Vec<LeftOut>| left_out.into_iter().map(|one| one.frame);
+            for frame in &recording.frames {
+                left_out.extend(numbers(live.push(frame).unwrap().left_out));
+            }
+            left_out.extend(numbers(live.flush().unwrap().left_out));
+            assert_eq!(left_out, expected.iter().map(|(k, _)| *k).collect::<Vec<_>>());
+        }
+    }
+    // Longer ones may be anatomy, and so may both halves of a recording.
+    for (frames, kept) in [(0..26, 120), (94..120, 120), (0..60, 120)] {
+        let mut recording = bent();
+        recording.frames[frames].iter_mut().flat_map(|f| &mut f.contour_mm).for_each(|p| *p *= 0.55);
+        assert_eq!(recording.frames.len() - reasons(&recording).len(), kept);
+    }
+}
+
+#[test]
 fn a_shape_that_another_pass_saw_at_the_same_place_is_anatomy() {
     let forth = bent().frames;
     let and_back = |wide: &[std::ops::Range<usize>]| {

@@ -181,12 +181,22 @@ impl Limits {
         shape.is_some_and(|s| s > self.jump_shape + self.usual_shape * meanwhile).then_some(Jump::Shape)
     }
 
-    /// Why a frame is off the path, told by the nearest frames on it.
-    pub fn why(&self, frame: usize, place: &Place, on_path: &[&Place]) -> LeftOut {
-        let nearest =
-            |of: &dyn Fn(&Place) -> f64| on_path.iter().map(|n| of(n)).fold(f64::INFINITY, f64::min);
-        let away_mm = nearest(&|n| step_mm(&n.pose, &place.pose, self.radius_mm));
-        if away_mm > self.jump_mm || place.shape.is_none() {
+    /// How far a frame is off the nearest frames on the path, mm.
+    fn away_mm(&self, place: &Place, on_path: &[&Place]) -> f64 {
+        let steps_mm = on_path.iter().map(|n| step_mm(&n.pose, &place.pose, self.radius_mm));
+        steps_mm.fold(f64::INFINITY, f64::min)
+    }
+
+    /// What of a run, from its first frame to its last, is off the path beside it: its shape, where either end is near enough.
+    pub fn jump_of(&self, ends: [&Place; 2], on_path: &[&Place]) -> Jump {
+        let is_near = |end: &&Place| self.away_mm(end, on_path) <= self.jump_mm;
+        if ends.iter().any(is_near) { Jump::Shape } else { Jump::Pose }
+    }
+
+    /// Why a frame of a run that jumps so is left out, told by the nearest frames on the path.
+    pub fn why(&self, frame: usize, place: &Place, jump: Jump, on_path: &[&Place]) -> LeftOut {
+        if jump == Jump::Pose || place.shape.is_none() {
+            let away_mm = self.away_mm(place, on_path);
             return LeftOut {
                 place: frame,
                 frame,
@@ -299,16 +309,36 @@ pub(super) fn off_the_path(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> 
         on_path[run] = true;
         at = best[run].1;
     }
-    let kept: Vec<usize> = (0..runs.len()).filter(|&run| on_path[run]).collect();
+    let mut kept: Vec<usize> = (0..runs.len()).filter(|&run| on_path[run]).collect();
+    // A burst of wrong contours at an end of the path has another jump, which nobody saw.
+    let shape_price = Jump::Shape.price(places.len());
+    let is_burst = |end: usize, next: usize| {
+        let frames = |run: usize| (runs[run].last - runs[run].first + 1) as f64;
+        let (a, b) = (end.min(next), end.max(next));
+        frames(end) <= 2.0 * shape_price
+            && frames(end) < frames(next)
+            && between(&runs[a], &runs[b]) == Some(Jump::Shape)
+    };
+    if let [first, second, ..] = kept[..]
+        && is_burst(first, second)
+    {
+        kept.remove(0);
+    }
+    if let [.., before, last] = kept[..]
+        && is_burst(last, before)
+    {
+        kept.pop();
+    }
     let passes = Passes::of(numbers, places, &limits);
     let mut left_out = Vec::new();
-    for (r, run) in runs.iter().enumerate().filter(|(r, _)| !on_path[*r]) {
+    for (r, run) in runs.iter().enumerate().filter(|(r, _)| kept.binary_search(r).is_err()) {
         let next = kept.partition_point(|&k| k < r);
         let before = next.checked_sub(1).map(|n| &places[runs[kept[n]].last]);
         let after = kept.get(next).map(|&n| &places[runs[n].first]);
         let beside: Vec<&Place> = before.into_iter().chain(after).collect();
+        let jump = limits.jump_of([&places[run.first], &places[run.last]], &beside);
         let why: Vec<LeftOut> =
-            (run.first..=run.last).map(|i| limits.why(numbers[i], &places[i], &beside)).collect();
+            (run.first..=run.last).map(|i| limits.why(numbers[i], &places[i], jump, &beside)).collect();
         if why.iter().any(|one| one.reason != Reason::OffShape) || !passes.confirm(run) {
             left_out.extend(why);
         }

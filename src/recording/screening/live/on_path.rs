@@ -52,9 +52,15 @@ pub(super) struct LivePath {
 struct Run {
     frames: Vec<(usize, Frame)>,
     last: Place,
-    /// The price of the jump to it, and of that back from it where it is one of the shape: a burst of wrong contours ends.
+    /// The price of the jump to it, and where it is one of the shape of that back from it: a burst of wrong contours ends.
     price: f64,
-    price_back: f64,
+}
+
+impl Run {
+    /// Its first frame with a contour.
+    fn first(&self) -> Option<Place> {
+        self.frames.iter().find(|(_, frame)| !frame.contour_mm.is_empty()).map(|(_, frame)| Place::of(frame))
+    }
 }
 
 impl LivePath {
@@ -99,12 +105,8 @@ impl LivePath {
         }
     }
 
-    /// Ends the waiting: frames that are undecided are left out, but for a run that is long enough where nothing follows it.
+    /// Ends the waiting: frames that are undecided are left out.
     pub fn flush(&mut self, judged: &mut Judged) {
-        let used = |run: &Run| run.frames.iter().filter(|(_, frame)| !frame.contour_mm.is_empty()).count();
-        if let Some(r) = self.runs.iter().rposition(|run| used(run) as f64 >= run.price) {
-            self.go_on_with(r, self.limits(), judged);
-        }
         let runs = std::mem::take(&mut self.runs);
         self.leave_out_beside_the_path(runs, judged);
         self.hand_over(usize::MAX, judged);
@@ -221,15 +223,18 @@ impl LivePath {
                 run.last = place;
                 // All that came after the run's start and is not part of it is off its path.
                 let used = run.frames.iter().filter(|(_, frame)| !frame.contour_mm.is_empty()).count();
-                let enough = (used as f64) >= (run.price + run.price_back).min(self.accepted as f64 + 1.0);
+                let enough = used as f64 > run.price.min(self.accepted as f64);
                 if enough {
                     self.go_on_with(r, limits, judged);
                 }
             }
             None => {
-                let price = jump.map_or(0.0, |jump| jump.price(usize::MAX));
-                let price_back = if jump == Some(Jump::Shape) { price } else { 0.0 };
-                self.runs.push(Run { frames: vec![(number, frame)], last: place, price, price_back });
+                let price = match jump {
+                    Some(Jump::Shape) => 2.0 * Jump::Shape.price(usize::MAX),
+                    Some(Jump::Pose) => Jump::Pose.price(usize::MAX),
+                    None => 0.0,
+                };
+                self.runs.push(Run { frames: vec![(number, frame)], last: place, price });
             }
         }
     }
@@ -237,17 +242,19 @@ impl LivePath {
     /// Uses a run that waited; the others are left out, and so is what was used before where it is shorter.
     fn go_on_with(&mut self, r: usize, limits: Limits, judged: &mut Judged) {
         let run = self.runs.remove(r);
-        let place = run.last.clone();
+        let beside = [run.first().unwrap_or_else(|| run.last.clone()), run.last.clone()];
+        let beside = beside.each_ref();
         for other in std::mem::take(&mut self.runs) {
-            self.leave_out(other, &limits, &[&place], judged);
+            self.leave_out(other, &limits, &beside, judged);
         }
-        if (self.accepted as f64) < run.price {
+        if self.accepted as f64 <= run.price {
             judged.restart = true;
             let first = run.frames.first().map_or(self.frames, |(number, _)| *number);
             let on_path = self.last.take().map(|(_, place)| place);
             for number in std::mem::take(&mut self.head) {
                 if let Some(on_path) = &on_path {
-                    judged.left_out.push(limits.why(number, on_path, &[&place]));
+                    let jump = limits.jump_of([on_path, on_path], &beside);
+                    judged.left_out.push(limits.why(number, on_path, jump, &beside));
                 }
             }
             let later = std::mem::take(&mut self.ready).into_iter().filter(|(number, _)| *number >= first);
@@ -273,9 +280,10 @@ impl LivePath {
     }
 
     fn leave_out(&mut self, run: Run, limits: &Limits, beside: &[&Place], judged: &mut Judged) {
+        let jump = run.first().map_or(Jump::Pose, |first| limits.jump_of([&first, &run.last], beside));
         for (number, frame) in run.frames {
             if !frame.contour_mm.is_empty() {
-                judged.left_out.push(limits.why(number, &Place::of(&frame), beside));
+                judged.left_out.push(limits.why(number, &Place::of(&frame), jump, beside));
             }
             let at = self.ready.partition_point(|(other, _)| *other < number);
             self.ready.insert(at, (number, None));
