@@ -321,7 +321,7 @@ fn faces_of_few_points_are_the_cpu_s() {
 fn long_sizes(most: u32) -> Vec<u32> {
     let mut sizes =
         vec![257, 256, 258, 511, 512, 513, 0, 1, 2, 3, 1000, 4096, most - 1, most, most + 1, 2 * most];
-    sizes.resize(60, 20);
+    sizes.resize(80, 20);
     sizes
 }
 
@@ -330,7 +330,8 @@ fn measure_long_is_its_twins() {
     let Some(device) = device_of_a_host() else { return };
     for pattern in PATTERNS {
         for (outliers, statistic) in all_rules() {
-            let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
+            let settings =
+                Settings::default().with_nodes(16).with_outliers(outliers).with_statistic(statistic);
             let faces = Faces::new(&settings, &long_sizes(50_000), pattern);
             let count = faces.points.len() as u32;
             let workspace = device.engine.prepare(count, RADIUS_MM, &settings).unwrap();
@@ -357,11 +358,11 @@ fn measure_narrow_is_its_twin_and_leaves_longer_faces_to_workgroups() {
         }
     };
     for (outliers, statistic) in all_rules() {
-        let settings = Settings::default().with_outliers(outliers).with_statistic(statistic);
+        let settings = Settings::default().with_nodes(16).with_outliers(outliers).with_statistic(statistic);
         for pattern in PATTERNS {
-            let mut sizes = long_sizes(4096);
-            sizes[59] = 9000;
-            agrees(&settings, &sizes, pattern, 4096);
+            let mut sizes = long_sizes(1024);
+            [sizes[78], sizes[79]] = [10_000, 10_000];
+            agrees(&settings, &sizes, pattern, 1024);
         }
         // Twice the mean, at most, and all where there are few.
         let settings = settings.with_nodes(3).with_levels(1);

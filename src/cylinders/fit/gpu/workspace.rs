@@ -26,7 +26,8 @@ pub struct FitWorkspace {
     classes: Classes,
     /// Whether faces have so many points that several workgroups share the distances of each.
     shared_faces: bool,
-    /// Whether the device has workgroups of [`LARGE_WORKGROUP`] invocations.
+    /// Whether workgroups of [`LARGE_WORKGROUP`] invocations are used: a device that has them and is no program, for which
+    /// each invocation that waits is work.
     wide: bool,
     middle_groups: u32,
     narrow_groups: u32,
@@ -260,7 +261,7 @@ const PARAMETERS_STRIDE: u64 = 256;
 const WINDOW: u32 = 1 << 22;
 
 /// Points of the largest face that a subgroup measures: twice the mean, within these bounds.
-const LEAST_NARROW: u64 = 1 << 12;
+const LEAST_NARROW: u64 = 1 << 10;
 const MOST_NARROW: u64 = 1 << 15;
 
 /// Most points of the faces that a subgroup measures in turn: some 44 / 32 rounds of its loops for each at worst, of which
@@ -326,7 +327,7 @@ impl FitWorkspace {
             iterations,
             classes,
             shared_faces,
-            wide: context.has_workgroups_of(LARGE_WORKGROUP),
+            wide: context.has_workgroups_of(LARGE_WORKGROUP) && !context.is_software(),
             middle_groups: groups_in_turn(context, middle_blocks) as u32,
             narrow_groups: narrow.map_or(0, |width| {
                 let faces = NARROW_WORKGROUP / width * (NARROW_POINTS / parameters.max_narrow);
