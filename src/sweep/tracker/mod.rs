@@ -62,9 +62,9 @@ const SIGNIFICANT: f64 = 3.0;
 /// An offset beyond this is no delay of a tracker or a recorder: the estimate has run away.
 const MAX_OFFSET_S: f64 = 5.0;
 /// Velocities are slopes over the frames within this time before and after, and over at least one frame on each side.
-/// Noise of 0.3 mm at 12 frames per second then makes 0.3 mm/s, a tenth of a catheter's speed; from one frame to the next
-/// it would make 2.5 mm/s.
-const VELOCITY_WINDOW_S: f64 = 0.5;
+/// Noise of 0.3 mm at 12 frames per second then makes 0.15 mm/s; from one frame to the next it would make 2.5 mm/s. Such
+/// noise makes offsets too small; slopes over a longer time make them too large where the motion changes.
+const VELOCITY_WINDOW_S: f64 = 0.75;
 
 impl Tracker {
     /// Estimates the errors that `settings` ask for, and corrects poses of the sensor, echoes and wall; `None` where they ask for
