@@ -123,9 +123,9 @@ const BENDING_SHARE: f64 = 1e-3;
 /// residuals that are smaller tell nothing: with half of it, a single pass along an arch whose tracker had noise seemed to tell a
 /// rotation by -20°.
 const MODEL_ERROR: f64 = 0.01;
-/// What is corrected is beyond this many standard errors. For independent noise they are some two times the errors; of errors
-/// that neighbours share, one in ten is beyond two of them.
-const CORRECTED_ERRORS: f64 = 2.0;
+/// What is corrected is beyond this many standard errors. For independent noise they are two to three times the errors; of
+/// errors that neighbours share, a tenth is beyond two of them, and 3 % are beyond 2.5.
+const CORRECTED_ERRORS: f64 = 2.5;
 /// Beyond so many standard deviations an echo says that it is off the wall, not how far.
 const MOST_SDS: f64 = 3.0;
 
