@@ -28,8 +28,9 @@ pub(super) type Twist = [f64; 6];
 const DEGREES_PER_MM: f64 = 1.0;
 /// Smallest variance of pose errors, in variances of the noise: its inverse must be finite.
 const MIN_VARIANCE: f64 = 1e-12;
-/// Number of segments of the recording whose scatter gives the standard errors of global parameters.
-pub(super) const SEGMENTS: usize = 32;
+/// Number of stretches of the vessel whose scatter gives the standard errors of global parameters. All passes by a place
+/// belong to one stretch: the wall follows their mean, so that what is left of their errors is alike in all of them.
+pub(super) const STRETCHES: usize = 16;
 /// Steps towards the likeliest variance of pose errors in one fit.
 const ASCENT_STEPS: usize = 10;
 
@@ -104,8 +105,8 @@ pub(super) struct Fit {
 pub(super) struct GlobalEquations<const N: usize> {
     /// `GᵀPG`: the information times the variance of the noise.
     pub information: Matrix<N>,
-    /// `-GᵀPy'`, in parts: the segments of the recording.
-    pub scores: [[f64; N]; SEGMENTS],
+    /// `-GᵀPy'`, in parts: the stretches of the vessel.
+    pub scores: [[f64; N]; STRETCHES],
 }
 
 /// An offset in time, s.
@@ -231,34 +232,37 @@ impl<'a, const N: usize> Joint<'a, N> {
     /// The equations of a Gauss-Newton step of the global parameters, with free radii and errors.
     pub(super) fn global_equations(
         &self,
-        fit: &Fit,
+        levels: NoiseLevels,
         roughness: f64,
         prior: &BendingPrior,
         radii_mm: &[f64],
     ) -> Result<GlobalEquations<N>> {
-        let errors = self.errors_at(fit.levels)?;
+        let errors = self.errors_at(levels)?;
         // The part of each parameter's effects that radii and errors explain.
         let mut explained = Vec::with_capacity(N);
         for parameter in 0..N {
             let effects: Vec<f64> = self.equations.iter().map(|e| e.effects_mm[parameter]).collect();
             let mut of_wall = vec![0.0; radii_mm.len()];
-            self.solve(&errors, fit.levels, roughness, &prior.local, &effects, &mut of_wall)?;
+            self.solve(&errors, levels, roughness, &prior.local, &effects, &mut of_wall)?;
             let of_poses = errors.of(&self.sums(|i| effects[i] - self.equations[i].corners.value(&of_wall)));
             explained.push((of_wall, of_poses));
         }
         let mut information = [[0.0; N]; N];
-        let segment = self.information.len().div_ceil(SEGMENTS);
-        let mut scores = [[0.0; N]; SEGMENTS];
+        let mut scores = [[0.0; N]; STRETCHES];
         for (k, range) in self.starts.windows(2).enumerate() {
             for equation in &self.equations[range[0]..range[1]] {
                 let EchoEquation { corners, weight, radius_mm, jacobian, effects_mm, .. } = equation;
-                let residual = radius_mm - corners.value(radii_mm) - dot(jacobian, &fit.errors[k]);
+                // With the errors of the poses: what they explain is taken out of the effects. Taken out of the residual as
+                // well, it would count twice, and steps would be too short wherever a prior holds errors back.
+                let residual = radius_mm - corners.value(radii_mm);
+                let ring = corners.nodes[0] / self.grid.nodes;
+                let score = &mut scores[ring * STRETCHES / self.grid.rings];
                 for (j, (of_wall, of_poses)) in explained.iter().enumerate() {
                     let unexplained = effects_mm[j] - corners.value(of_wall) - dot(jacobian, &of_poses[k]);
                     for (line, effect_mm) in information.iter_mut().zip(effects_mm) {
                         line[j] += weight * effect_mm * unexplained;
                     }
-                    scores[k / segment][j] -= weight * unexplained * residual;
+                    score[j] -= weight * unexplained * residual;
                 }
             }
         }
@@ -388,17 +392,17 @@ impl Joint<'_, 1> {
     /// A Gauss-Newton step to the likeliest offset in time, where that is the global parameter.
     pub(super) fn offset(
         &self,
-        fit: &Fit,
+        levels: NoiseLevels,
         roughness: f64,
         prior: &BendingPrior,
         radii_mm: &[f64],
     ) -> Result<Offset> {
         let GlobalEquations { information: [[information]], scores } =
-            self.global_equations(fit, roughness, prior, radii_mm)?;
+            self.global_equations(levels, roughness, prior, radii_mm)?;
         let seconds = scores.as_flattened().iter().sum::<f64>() / information;
-        // Model errors are alike in neighbouring frames, so the scatter of whole segments counts as well.
+        // Model errors are alike in neighbouring frames, so the scatter of whole stretches counts as well.
         let scatter = scores.as_flattened().iter().map(|s| s * s).sum::<f64>() / (information * information);
-        let of_noise = fit.levels.noise_mm.powi(2) / information;
+        let of_noise = levels.noise_mm.powi(2) / information;
         Ok(Offset { seconds, standard_error_s: scatter.max(of_noise).sqrt() })
     }
 }
