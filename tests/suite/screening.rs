@@ -286,6 +286,12 @@ fn bursts_at_the_ends_of_a_recording_are_left_out_as_those_within_are() {
             assert_eq!(left_out, expected.iter().map(|(k, _)| *k).collect::<Vec<_>>());
         }
     }
+    // Right contours between two bursts are right, however few.
+    let mut recording = bent();
+    let bursts = (90..102).chain(106..117);
+    bursts.clone().for_each(|k| recording.frames[k].contour_mm.iter_mut().for_each(|p| *p *= 0.55));
+    recording.frames.truncate(117);
+    assert_eq!(reasons(&recording), bursts.map(|k| (k, Reason::OffShape)).collect::<Vec<_>>());
     // Longer ones may be anatomy, and so may both halves of a recording.
     for (frames, kept) in [(0..26, 120), (94..120, 120), (0..60, 120)] {
         let mut recording = bent();

@@ -253,6 +253,12 @@ struct Run {
     last: usize,
 }
 
+impl Run {
+    fn frames(&self) -> usize {
+        self.last - self.first + 1
+    }
+}
+
 /// The frames, of those at `numbers`, that lie off the path of the others.
 ///
 /// The path is the sequence of frames that maximises the number of its frames less the price of its jumps; it is found by
@@ -283,51 +289,55 @@ pub(super) fn off_the_path(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> 
         };
         jump(a.last, b.first).filter(|kind| *kind == Jump::Pose || !goes_on())
     };
-    // The best path that ends with each run: its worth, and the run before.
-    let mut best: Vec<(f64, Option<usize>)> = Vec::with_capacity(runs.len());
-    for first in (0..runs.len()).step_by(RUNS_AT_ONCE) {
-        let last = runs.len().min(first + RUNS_AT_ONCE);
-        let price =
-            |a: usize, b: usize| between(&runs[a], &runs[b]).map_or(0.0, |jump| jump.price(places.len()));
-        let prices = |b: usize| (0..b).rev().take(MAX_RUNS_BACK).map(|a| price(a, b)).collect();
-        let prices: Vec<Vec<f64>> = (first..last).into_par_iter().map(prices).collect();
-        for (b, prices) in (first..last).zip(prices) {
-            let mut before = (0.0, None);
-            for (a, price) in (0..b).rev().zip(prices) {
-                let worth = best[a].0 - price;
-                if worth > before.0 {
-                    before = (worth, Some(a));
+    // The best path through some of the runs.
+    let best_path = |candidates: &[usize]| -> Vec<usize> {
+        let count = candidates.len();
+        let run = |c: usize| &runs[candidates[c]];
+        // The best path that ends with each of them: its worth, and the one before.
+        let mut best: Vec<(f64, Option<usize>)> = Vec::with_capacity(count);
+        for first in (0..count).step_by(RUNS_AT_ONCE) {
+            let last = count.min(first + RUNS_AT_ONCE);
+            let price =
+                |a: usize, b: usize| between(run(a), run(b)).map_or(0.0, |jump| jump.price(places.len()));
+            let prices = |b: usize| (0..b).rev().take(MAX_RUNS_BACK).map(|a| price(a, b)).collect();
+            let prices: Vec<Vec<f64>> = (first..last).into_par_iter().map(prices).collect();
+            for (b, prices) in (first..last).zip(prices) {
+                let mut before = (0.0, None);
+                for (a, price) in (0..b).rev().zip(prices) {
+                    let worth = best[a].0 - price;
+                    if worth > before.0 {
+                        before = (worth, Some(a));
+                    }
                 }
+                best.push((run(b).frames() as f64 + before.0, before.1));
             }
-            let run = &runs[b];
-            best.push(((run.last - run.first + 1) as f64 + before.0, before.1));
         }
-    }
-    let mut on_path = vec![false; runs.len()];
-    let mut at = (0..runs.len()).max_by(|&a, &b| best[a].0.total_cmp(&best[b].0).then(b.cmp(&a)));
-    while let Some(run) = at {
-        on_path[run] = true;
-        at = best[run].1;
-    }
-    let mut kept: Vec<usize> = (0..runs.len()).filter(|&run| on_path[run]).collect();
-    // A burst of wrong contours at an end of the path has another jump, which nobody saw.
-    let shape_price = Jump::Shape.price(places.len());
-    let is_burst = |end: usize, next: usize| {
-        let frames = |run: usize| (runs[run].last - runs[run].first + 1) as f64;
-        let (a, b) = (end.min(next), end.max(next));
-        frames(end) <= 2.0 * shape_price
-            && frames(end) < frames(next)
-            && between(&runs[a], &runs[b]) == Some(Jump::Shape)
+        let mut path = Vec::new();
+        let mut at = (0..count).max_by(|&a, &b| best[a].0.total_cmp(&best[b].0).then(b.cmp(&a)));
+        while let Some(c) = at {
+            path.push(candidates[c]);
+            at = best[c].1;
+        }
+        path.reverse();
+        path
     };
-    if let [first, second, ..] = kept[..]
-        && is_burst(first, second)
-    {
-        kept.remove(0);
-    }
-    if let [.., before, last] = kept[..]
-        && is_burst(last, before)
-    {
-        kept.pop();
+    let mut candidates: Vec<usize> = (0..runs.len()).collect();
+    let mut kept = best_path(&candidates);
+    // A burst of wrong contours at an end of the path has another jump, which nobody saw. It may consist of several runs, with
+    // right contours in between.
+    for is_start in [true, false] {
+        let inwards: Vec<usize> = if is_start { kept.clone() } else { kept.iter().rev().copied().collect() };
+        let jump = |pair: &[usize]| between(&runs[pair[0].min(pair[1])], &runs[pair[0].max(pair[1])]);
+        let Some(last) = inwards.windows(2).position(|pair| jump(pair).is_some()) else { continue };
+        let frames = |of: &[usize]| of.iter().map(|&run| runs[run].frames()).sum::<usize>();
+        let (end, rest) = inwards.split_at(last + 1);
+        if jump(&inwards[last..last + 2]) == Some(Jump::Shape)
+            && frames(end) as f64 <= 2.0 * Jump::Shape.price(places.len())
+            && frames(end) < frames(rest)
+        {
+            candidates.retain(|run| !end.contains(run));
+            kept = best_path(&candidates);
+        }
     }
     let passes = Passes::of(numbers, places, &limits);
     let mut left_out = Vec::new();
