@@ -4,18 +4,18 @@
 
 // Counts the faces that were measured to the end, as `measure_long` does.
 @group(0) @binding(7) var<storage, read_write> listed_faces: array<atomic<u32>>;
-// The keys of the points of a face after the first eight of each invocation, which has those in registers. An invocation
-// writes four at a time, and reads only what it has written: a software device takes as long for one word as for four.
+// The keys of a face after the first eight of each invocation, which has those in registers. An invocation writes four at a
+// time, and reads only what it has written.
 @group(0) @binding(8) var<storage, read_write> keys: array<vec4u>;
 
 const THREADS: u32 = 32u;
-// Rounds that divide an interval of distances evenly, before those that divide its keys: most distances are of like
-// size, and keys grow with their logarithms. The latter end, as they make less than 2^32 keys a fourth.
+// Rounds that divide an interval of distances evenly: most distances are of like size, whereas keys grow with their
+// logarithms. Then come rounds that divide its keys evenly; each leaves a fourth, so that sixteen leave one of 2^32.
 const EVEN_ROUNDS: u32 = 3u;
 const ROUNDS: u32 = EVEN_ROUNDS + 16u;
 
-// An invocation's keys: the first eight, and of the others the places of four at a time, `width` apart. The keys of a face
-// fit the words of its points, aligned and filled up with EMPTY as they are: there are fewer by eight of each invocation.
+// An invocation's keys: the first eight, and from `begin` to `end` the places of the others, four at a time, `width` apart.
+// A face uses only the words of its own points: alignment and filling up with EMPTY take fewer than the first eight leave.
 struct Run {
     first: Keys,
     width: u32,
@@ -90,7 +90,7 @@ fn extent_of(run: Run) -> Extent {
     return Extent(subgroupAdd(own.number), subgroupMin(own.least), subgroupMax(own.greatest));
 }
 
-// The keys at which four parts of an interval begin but for the first.
+// The keys of the distances at that part of the way through four intervals.
 fn between(distance_low: vec4f, distance_high: vec4f, part: f32, is_top: vec4<bool>, scale: f32) -> vec4u {
     let d = distance_low + (distance_high - distance_low) * part;
     return vec4u(
@@ -110,7 +110,7 @@ fn distances_of(four: vec4u, unit: f32) -> vec4f {
     );
 }
 
-// How many keys of a face are less than each of four bounds, three times.
+// For each of four ranks, how many keys of a face are less than each of three bounds; or the bounds.
 struct Numbers {
     first: vec4u,
     second: vec4u,

@@ -264,8 +264,8 @@ impl Context {
         (self.device.features().contains(wgpu::Features::SUBGROUP) && usable).then_some(of.subgroup_min_size)
     }
 
-    /// The number of invocations in every subgroup of a program on the CPU, where a workgroup of [`NARROW_WORKGROUP`] has
-    /// some.
+    /// The number of invocations in every subgroup, where the device is a program on the CPU, has subgroups of one size, and a
+    /// workgroup of [`NARROW_WORKGROUP`] consists of them.
     pub(crate) fn narrow_width(&self) -> Option<u32> {
         let of = self.device.adapter_info();
         let is_known =

@@ -338,6 +338,7 @@ fn constants_are_those_of_rust() {
     for (name, statistic) in [("STATISTIC_MEAN", Statistic::Mean), ("STATISTIC_MEDIAN", Statistic::Median)] {
         assert_eq!(constant(&shader, name), parameters(Outliers::Iqr, statistic).statistic);
     }
+    assert_eq!(constant(&module(row("measure_narrow")), "THREADS"), row("measure_narrow").workgroup_size);
     assert_eq!(constant(&shader, "NONE"), NONE);
     assert_eq!(constant(&shader, "FIRST_LISTED") as usize, LIST_HEAD);
     assert_eq!(constant(&shader, "NO_VALUE"), TriangleStatistic::<f32>::default().value_word());

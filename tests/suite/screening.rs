@@ -293,10 +293,10 @@ fn bursts_at_the_ends_of_a_recording_are_left_out_as_those_within_are() {
     recording.frames.truncate(117);
     assert_eq!(reasons(&recording), bursts.map(|k| (k, Reason::OffShape)).collect::<Vec<_>>());
     // Longer ones may be anatomy, and so may both halves of a recording.
-    for (frames, kept) in [(0..26, 120), (94..120, 120), (0..60, 120)] {
+    for frames in [0..26, 94..120, 0..60] {
         let mut recording = bent();
         recording.frames[frames].iter_mut().flat_map(|f| &mut f.contour_mm).for_each(|p| *p *= 0.55);
-        assert_eq!(recording.frames.len() - reasons(&recording).len(), kept);
+        assert_eq!(reasons(&recording), []);
     }
 }
 

@@ -19,8 +19,8 @@ struct FitParameters {
     // Largest number of points of a short face, and of one of middle size.
     max_short: u32,
     max_middle: u32,
-    // Largest number of points of a face that a subgroup measures, and the most long faces, which have more; no more than
-    // `max_middle` and 0 where workgroups measure all that have more than that.
+    // Largest number of points of a face that a subgroup measures, and the largest possible number of long faces, which
+    // have more. Where no subgroup measures faces by itself: `max_middle`, and 0.
     max_narrow: u32,
     most_long: u32,
     pairs: u32,

@@ -177,10 +177,10 @@ pub struct FitParameters {
     pub max_short: u32,
     /// Largest number of points of a face of middle size.
     pub max_middle: u32,
-    /// Largest number of points of a face that a subgroup measures, where it does: as a rule no more than `max_middle`. A whole
-    /// workgroup measures a face with more, a long one.
+    /// Largest number of points of a face that a subgroup measures by itself; `max_middle` where none does. A whole workgroup
+    /// measures a face with more, a long one.
     pub max_narrow: u32,
-    /// Most long faces that there can be, where a subgroup measures the others.
+    /// Largest possible number of long faces; 0 where no subgroup measures faces by itself.
     pub most_long: u32,
     /// Pairs of cylinder and frame.
     pub pairs: u32,
@@ -203,6 +203,7 @@ impl FitParameters {
     ) -> Self {
         let tube = Tube::new(settings);
         let grid = TubeGrid::<f32>::new(&tube);
+        let max_middle = 8 * short_lanes.max(middle_lanes);
         Self {
             nodes: grid.nodes,
             levels: grid.levels,
@@ -226,8 +227,8 @@ impl FitParameters {
             faces_per_mm: grid.faces_per_mm,
             single: u32::from(pairs.is_none()),
             max_short: 8 * short_lanes,
-            max_middle: 8 * short_lanes.max(middle_lanes),
-            max_narrow: 8 * short_lanes.max(middle_lanes),
+            max_middle,
+            max_narrow: max_middle,
             most_long: 0,
             pairs: pairs.unwrap_or(0),
             window: cylinders.saturating_mul(tube.face_count() as u32).max(1),

@@ -251,7 +251,7 @@ impl Work {
                 (iterations * (16 * short + (4 + 8) * faces + 4 * nodes) + 16 * faces, flops(short))
             }
             "measure_middle" | "measure_middle_shared" => (iterations * 16 * middle, flops(middle)),
-            // Keys are written once, and read in some six rounds, for the extremes of intervals and for the sums.
+            // Keys are written once, and counted as read in six rounds, for the extremes and for the sums.
             "measure_narrow" => (iterations * (16 + 4 + 8 * 4) * narrow, flops(narrow)),
             // Keys are written once, and read in each of four rounds and for the sums.
             "measure_long" => (iterations * (16 + 4 + 6 * 4) * long, flops(long)),

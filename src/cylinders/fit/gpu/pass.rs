@@ -48,8 +48,8 @@ pub enum Items {
     MiddleFaces,
     /// The same without subgroups.
     MiddleFacesShared,
-    /// A subgroup per long face, on a software device with subgroups.
-    LongFacesNarrow,
+    /// Subgroups that take faces with more points than those of middle size in turn, on a software device.
+    NarrowFaces,
     /// Workgroups that take the long faces in turn, where they have not so many points that `distance` comes
     /// first.
     LongFaces,
@@ -155,7 +155,7 @@ pub static PASSES: [Pass; 21] = [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,
         "triangle_support": Write, "listed_faces": Read,
     ], { constants: &[("MIDDLE", 1.0)], variants: Some(("LANES", &MIDDLE_LANES)) }),
-    pass!("measure_narrow", Iterate, LongFacesNarrow, 32, [
+    pass!("measure_narrow", Iterate, NarrowFaces, 32, [
         DISPATCH, DISTANCE, SCALAR, FILTER, POINT_KEY, EIGHT_KEYS, STATISTIC
     ], [
         "cylinders": Read, "offsets": Read, "grouped": Read, "radii": Read, "triangle_values": Write,

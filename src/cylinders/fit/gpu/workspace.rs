@@ -45,7 +45,7 @@ pub struct FitWorkspace {
 pub(super) struct Plan {
     parameters: FitParameters,
     classes: Classes,
-    /// Invocations per long face, where a subgroup measures it.
+    /// Invocations of a subgroup, where one measures a face by itself.
     narrow: Option<u32>,
     shared_faces: bool,
     travel_stride: u64,
@@ -224,7 +224,7 @@ const EIGHTS_OF_FEW: u32 = 2;
 impl Classes {
     /// The classes for a number of points and faces. Points are spread over the faces about evenly more often
     /// than not: two standard deviations of such a spread still fit a short face, and more faces would be listed
-    /// if it were less. `width` is that of the device's subgroups, `narrow` where one of them measures a long face.
+    /// if it were less. `width` is that of the device's subgroups, `narrow` where one measures a face by itself.
     fn new(slots: u64, faces: u64, width: Option<u32>, narrow: Option<u32>, software: bool) -> Self {
         let mean = slots as f64 / faces.max(1) as f64;
         let most = mean + 2.0 * mean.sqrt();
@@ -422,7 +422,7 @@ impl FitWorkspace {
                 (parameters.faces.div_ceil(size / self.classes.short.lanes.max(1)), parameters.cylinders)
             }
             Items::MiddleFaces | Items::MiddleFacesShared => (self.middle_groups, 1),
-            Items::LongFacesNarrow => (self.narrow_groups, 1),
+            Items::NarrowFaces => (self.narrow_groups, 1),
             Items::LongFaces | Items::KeyedFaces | Items::KeyedFacesWide => (self.long_groups, 1),
             Items::Points => (parameters.slots.div_ceil(size), 1),
             Items::Nodes => (parameters.node_count.div_ceil(size), parameters.cylinders),
