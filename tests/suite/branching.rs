@@ -14,6 +14,7 @@ use lumenmesh::simulate::{
     Insertion, Move, Noise, Phantom, Probe, Shape, Simulation, SimulationSettings, Visit,
 };
 use lumenmesh::surface::{Space, Surface};
+use std::sync::{LazyLock, OnceLock};
 
 fn swept(recording: &Recording, branches: Branches) -> Lumen {
     let mut settings = Settings::default();
@@ -34,6 +35,37 @@ fn visiting(shape: &str, visits: &[usize], insertion: Insertion) -> Simulation {
     simulated(shape, &settings)
 }
 
+/// A phantom whose branches were all visited, and what is made of it, which several tests look at.
+struct Visited {
+    shape: &'static str,
+    visits: &'static [usize],
+    simulation: Simulation,
+    swept: OnceLock<Lumen>,
+    cylinders: [OnceLock<Lumen>; 2],
+}
+
+static VISITED: [LazyLock<Visited>; 3] = [
+    LazyLock::new(|| Visited::of("bifurcation", &[0, 1])),
+    LazyLock::new(|| Visited::of("side_branch", &[0, 1])),
+    LazyLock::new(|| Visited::of("tree", &[0, 1, 2, 3])),
+];
+
+impl Visited {
+    fn of(shape: &'static str, visits: &'static [usize]) -> Self {
+        let simulation = visiting(shape, visits, Insertion::default());
+        Self { shape, visits, simulation, swept: OnceLock::new(), cylinders: Default::default() }
+    }
+
+    fn swept(&self) -> &Lumen {
+        self.swept.get_or_init(|| swept(&self.simulation.recording, Branches::Auto))
+    }
+
+    fn of_cylinders(&self, merge: Merge) -> &Lumen {
+        let of_merge = &self.cylinders[usize::from(merge == Merge::Blend)];
+        of_merge.get_or_init(|| of_cylinders(&self.simulation.recording, Branches::Auto, merge))
+    }
+}
+
 /// Distances from the nodes about the partings, within two radii, to the wall.
 fn near_partings_mm(lumen: &Lumen, surface: &Surface, wall: &Surface) -> Vec<f64> {
     let report = &lumen.branches().unwrap().report;
@@ -52,10 +84,10 @@ fn near_partings_mm(lumen: &Lumen, surface: &Surface, wall: &Surface) -> Vec<f64
 
 #[test]
 fn visited_branches_become_one_surface() {
-    for (shape, visits) in [("bifurcation", &[0, 1][..]), ("side_branch", &[0, 1]), ("tree", &[0, 1, 2, 3])] {
-        let simulation = visiting(shape, visits, Insertion::default());
+    for visited in &VISITED {
+        let Visited { shape, visits, simulation, .. } = &**visited;
         let wall = simulation.vessel.surface();
-        let lumen = swept(&simulation.recording, Branches::Auto);
+        let lumen = visited.swept();
         let branched = lumen.branches().unwrap();
         assert_eq!(branched.sweeps.len(), visits.len(), "{shape}");
 
@@ -69,7 +101,7 @@ fn visited_branches_become_one_surface() {
         let surface = lumen.surface();
         let mean_mm = mean_error_mm(&surface, wall);
         let covered = coverage(&surface, &simulation.truth_recording);
-        let near_mm = near_partings_mm(&lumen, &surface, wall);
+        let near_mm = near_partings_mm(lumen, &surface, wall);
         let p95_mm = near_mm[near_mm.len() * 95 / 100];
         println!(
             "{shape}: mean {mean_mm:.3} mm, coverage {covered:.4}, p95 about the partings {p95_mm:.3} mm"
@@ -87,7 +119,7 @@ fn visited_branches_become_one_surface() {
         assert!(visits.iter().all(|&b| branch.contains(&(b as f64))), "{shape}");
 
         // Each branch but the first leaves another at a node of its axis.
-        let tree = VesselTree::of_lumen(&lumen, &surface).unwrap();
+        let tree = VesselTree::of_lumen(lumen, &surface).unwrap();
         assert_eq!(tree.axes.len(), visits.len(), "{shape}");
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("axis.vtp");
@@ -113,20 +145,21 @@ fn visited_branches_become_one_surface() {
 /// into it. The wall there is supported all the same.
 #[test]
 fn wall_beside_a_parting_is_supported_by_the_echoes_of_all_branches() {
-    for (shape, visits) in [("bifurcation", &[0, 1][..]), ("side_branch", &[0, 1]), ("tree", &[0, 1, 2, 3])] {
-        let Simulation { recording, vessel, truth_recording, .. } =
-            visiting(shape, visits, Insertion::default());
+    for visited in &VISITED {
+        let Visited { shape, visits, simulation, .. } = &**visited;
+        let Simulation { recording, vessel, truth_recording, .. } = simulation;
         let last_s = recording.frames.iter().filter_map(|frame| frame.time_s).fold(0.0, f64::max);
         let turned = |frame: &Frame| frame.clone().with_time_s(frame.time_s.map(|t| last_s - t));
         let mut reversed = recording.clone();
         reversed.frames = recording.frames.iter().rev().map(turned).collect();
-        for (way, recording) in [("forth", &recording), ("back", &reversed)] {
-            let surface = swept(recording, Branches::Auto).surface();
+        let back = swept(&reversed, Branches::Auto);
+        for (way, lumen) in [("forth", visited.swept()), ("back", &back)] {
+            let surface = lumen.surface();
             let topology = surface.topology();
             let found = [topology.components, topology.boundary_loops, topology.non_manifold_nodes];
             assert_eq!(found, [1, visits.len() + 1, 0], "{shape} {way}: {topology:?}");
             let mean_mm = mean_error_mm(&surface, vessel.surface());
-            let covered = coverage(&surface, &truth_recording);
+            let covered = coverage(&surface, truth_recording);
             println!("{shape} {way}: mean {mean_mm:.3} mm, coverage {covered:.4}");
             assert!(mean_mm < 0.08 && covered > 0.97, "{shape} {way}: {mean_mm} mm, {covered}");
         }
@@ -185,11 +218,11 @@ fn walls_that_touch_beside_a_parting_become_one_surface_without_holes_and_tunnel
 
 #[test]
 fn cylinders_of_visited_branches_become_one_surface() {
-    for (shape, visits) in [("bifurcation", &[0, 1][..]), ("side_branch", &[0, 1]), ("tree", &[0, 1, 2, 3])] {
-        let simulation = visiting(shape, visits, Insertion::default());
+    for visited in &VISITED {
+        let Visited { shape, visits, simulation, .. } = &**visited;
         let wall = simulation.vessel.surface();
         for merge in [Merge::Stitch, Merge::Blend] {
-            let lumen = of_cylinders(&simulation.recording, Branches::Auto, merge);
+            let lumen = visited.of_cylinders(merge);
             let branched = lumen.cylinder_branches().unwrap();
             assert!(lumen.branches().is_none() && lumen.cylinders().is_none());
             assert_eq!(branched.reconstructions.len(), visits.len(), "{shape} {merge:?}");
@@ -214,7 +247,7 @@ fn cylinders_of_visited_branches_become_one_surface() {
                  {covered_off:.4}"
             );
             // In the tree both hang on single cylinders about its partings: 0.2 to 0.5 mm for other seeds of the noise.
-            let (most_mm, least) = if shape == "tree" { (0.45, 0.8) } else { (0.35, 0.9) };
+            let (most_mm, least) = if *shape == "tree" { (0.45, 0.8) } else { (0.35, 0.9) };
             assert!(mean_mm < most_mm, "{shape} {merge:?}: {mean_mm}");
             assert!(covered > least, "{shape} {merge:?}: {covered}");
             // One vessel of all cylinders loses branches that the catheter has left.
@@ -240,7 +273,7 @@ fn cylinders_of_visited_branches_become_one_surface() {
             }
             assert!(far > 100, "{shape}: {far} nodes far from partings");
             assert!(branched.report.supported * 10 > surface.nodes_mm.len() * 8, "{shape} {merge:?}");
-            let tree = VesselTree::of_lumen(&lumen, &surface).unwrap();
+            let tree = VesselTree::of_lumen(lumen, &surface).unwrap();
             assert_eq!(tree.axes.len(), visits.len(), "{shape}");
             let evaluation = evaluate(&surface, &Truth::new(wall.clone()).unwrap()).unwrap();
             assert_eq!(evaluation.branches.len(), visits.len(), "{shape}");
@@ -250,10 +283,10 @@ fn cylinders_of_visited_branches_become_one_surface() {
 
 #[test]
 fn the_surface_does_not_cross_itself() {
-    for (shape, visits) in [("bifurcation", &[0, 1][..]), ("side_branch", &[0, 1]), ("tree", &[0, 1, 2, 3])] {
-        let simulation = visiting(shape, visits, Insertion::default());
+    for visited in &VISITED {
+        let shape = visited.shape;
         for merge in [Merge::Stitch, Merge::Blend] {
-            let lumen = of_cylinders(&simulation.recording, Branches::Auto, merge);
+            let lumen = visited.of_cylinders(merge);
             let reported = lumen.cylinder_branches().unwrap().report.crossings;
             // Branches of the tree may touch again beside a parting, and the report says so.
             assert!(reported == 0 || shape == "tree", "{shape} {merge:?}: {reported}");
@@ -262,7 +295,7 @@ fn the_surface_does_not_cross_itself() {
             }
         }
         if shape == "tree" {
-            let found = crossings(&swept(&simulation.recording, Branches::Auto).surface());
+            let found = crossings(&visited.swept().surface());
             assert!(found.is_none_or(|found| found == 0), "{found:?}");
         }
     }

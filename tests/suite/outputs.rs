@@ -132,7 +132,7 @@ fn an_interrupted_command_leaves_no_temporary_file() {
     let folder = folder();
     let before = names(folder.path());
     let mut interrupted = 0;
-    for (k, signal) in ["-TERM", "-INT", "-HUP"].into_iter().cycle().take(12).enumerate() {
+    for (k, signal) in ["-TERM", "-INT", "-HUP"].into_iter().cycle().take(6).enumerate() {
         let mut child = Command::new(env!("CARGO_BIN_EXE_lumenmesh"))
             .args([
                 "simulate",
@@ -162,7 +162,7 @@ fn an_interrupted_command_leaves_no_temporary_file() {
             names(folder.path()).into_iter().filter(|name| !name.starts_with("big")).collect();
         assert_eq!(left, before, "{signal}");
     }
-    assert!(interrupted >= 6, "{interrupted} of 12 were interrupted");
+    assert!(interrupted >= 3, "{interrupted} of 6 were interrupted");
 }
 
 #[test]

@@ -6,8 +6,8 @@ use std::process::{Command, Output, Stdio};
 /// The commands, one that prints lines as it goes and one of each kind that prints at once.
 const COMMANDS: [&[&str]; 4] = [
     &["demo"],
-    &["demo", "--json"],
     &["info", "lumenmesh-demo/recording.mat"],
+    &["info", "lumenmesh-demo/recording.mat", "--json"],
     &["evaluate", "lumenmesh-demo/vessel.vtp", "--truth", "lumenmesh-demo/truth.vtp"],
 ];
 

@@ -43,8 +43,9 @@ pub fn written(surface: &Surface, folder: &Path, ending: &str) -> PathBuf {
 }
 
 pub fn read_bytes(ending: &str, bytes: &[u8]) -> lumenmesh::Result<Surface> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join(format!("mesh.{ending}"));
+    // One folder for all files of a test: to make one takes longer than to read such a file.
+    thread_local!(static FOLDER: tempfile::TempDir = tempfile::tempdir().unwrap());
+    let path = FOLDER.with(|folder| folder.path().join(format!("mesh.{ending}")));
     std::fs::write(&path, bytes).unwrap();
     Surface::read(&path)
 }
