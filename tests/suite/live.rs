@@ -277,7 +277,7 @@ fn a_vessel_that_was_ended_goes_on_where_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let (path, again) = (folder.path().join("live.state"), folder.path().join("again.state"));
     let mut frames = simulated("arch", to_and_fro(), 2).recording.frames;
-    frames.truncate(450);
+    frames.truncate(700);
     for frame in &mut frames[350..356] {
         // Off the path: these wait.
         frame.world_from_sensor.translation_mm.y += 80.0;
@@ -301,7 +301,7 @@ fn a_vessel_that_was_ended_goes_on_where_it_was() {
             }
             assert!(bytes(&live.surface()) == bytes(&whole.surface()), "from {end} on");
         }
-        let other = pushed(&frames[..400], &settings);
+        let other = pushed(&frames[..600], &settings);
         assert!(bytes(&other.surface()) != bytes(&whole.surface()), "the comparison sees differences");
         let batch = Reconstructor::new(settings).run(&Recording { frames: frames.clone() }).unwrap();
         assert!(bytes(&whole.finish().unwrap().surface()) == bytes(&batch.surface()));
