@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-/// The commands, one that prints lines as it goes and one of each kind that prints at once.
+/// One command that prints lines as it goes, and one of each kind that prints at once: text, JSON and a table.
 const COMMANDS: [&[&str]; 4] = [
     &["demo"],
     &["info", "lumenmesh-demo/recording.mat"],
