@@ -24,8 +24,9 @@ apt_install() {
   $sudo apt-get update -qq && DEBIAN_FRONTEND=noninteractive $sudo apt-get install -y -qq --no-install-recommends "$@" >/dev/null
 }
 
-# One choice of packages and features for all: with another, Cargo would build every dependency again.
-chosen=(--all-features -p lumenmesh -p lumenmesh-capi)
+# One choice of packages and features for all: with another, Cargo would build every dependency again. The Python package has
+# no tests in Rust, but asks for features of others.
+chosen=(--all-features -p lumenmesh -p lumenmesh-capi -p lumenmesh-python)
 say "building"
 cargo test "${chosen[@]}" --no-run
 
@@ -68,7 +69,8 @@ if [ -x target/python/bin/python ]; then
   python=target/python/bin/python
   run "$python" -m pip install -q --disable-pip-version-check maturin pytest mypy pyvista trimesh playwright pillow markdown-it-py 'dask[distributed]'
   rm -rf target/wheels
-  run target/python/bin/maturin build --quiet --profile wheel --manifest-path python/Cargo.toml -i "$python" -o target/wheels
+  run target/python/bin/maturin build --quiet --profile dev --features pyo3/extension-module,as-tested \
+    --manifest-path python/Cargo.toml -i "$python" -o target/wheels
   run "$python" -m pip install -q --disable-pip-version-check --force-reinstall --no-deps target/wheels/*.whl
   run "$python" -m pytest -q python/tests
   run "$python" -m mypy.stubtest lumenmesh

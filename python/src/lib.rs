@@ -285,8 +285,10 @@ fn reconstruct(
     let lumen = py.detach(|| {
         std::thread::scope(|threads| {
             let (give, take) = mpsc::channel();
-            threads
-                .spawn(move || give.send(Reconstructor::new(settings).on_progress(tell).run(&recording.0)));
+            threads.spawn(move || {
+                // It fails where nobody waits any more.
+                drop(give.send(Reconstructor::new(settings).on_progress(tell).run(&recording.0)));
+            });
             loop {
                 match take.recv_timeout(LOOK_FOR_SIGNALS) {
                     Err(mpsc::RecvTimeoutError::Timeout) => {
