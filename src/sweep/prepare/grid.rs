@@ -34,7 +34,7 @@ pub(in crate::sweep) struct SlopeReach {
 }
 
 /// A place on the grid: its triangle, as node indices, and its barycentric weights there.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(in crate::sweep) struct Corners {
     /// a, b or a', b'.
     pub nodes: [usize; 3],
@@ -43,6 +43,13 @@ pub(in crate::sweep) struct Corners {
     pub bottom: bool,
     /// Ring and place on it of a.
     cell: [usize; 2],
+}
+
+impl SlopeReach {
+    /// Nodes over which the slope about the axis is taken.
+    pub(in crate::sweep) fn span_nodes(self) -> f64 {
+        (2 * self.nodes + 1) as f64
+    }
 }
 
 impl Corners {
@@ -97,14 +104,10 @@ impl WallGrid {
         }
     }
 
-    /// Slopes of the wall on the triangle of a place: per node and per ring.
+    /// What the wall rises by about the triangle of a place, mm: over [`SlopeReach::span_nodes`], and over some rings; and the
+    /// number of these.
     #[inline(always)]
-    pub(in crate::sweep) fn slopes(
-        &self,
-        corners: &Corners,
-        radii_mm: &[f64],
-        reach: SlopeReach,
-    ) -> [f64; 2] {
+    pub(in crate::sweep) fn rises(&self, corners: &Corners, radii_mm: &[f64], reach: SlopeReach) -> [f64; 3] {
         let [level, j] = corners.cell;
         // At most one turn too far: cheaper than a remainder.
         let on_ring = |node: usize| if node < self.nodes { node } else { node - self.nodes };
@@ -113,7 +116,7 @@ impl WallGrid {
         let around = at(ring, j + 1 + reach.nodes) - at(ring, j + self.nodes - reach.nodes);
         let (low, high) = (level.saturating_sub(reach.rings), (level + 1 + reach.rings).min(self.rings - 1));
         let along = at(high, node) - at(low, node);
-        [around / (2 * reach.nodes + 1) as f64, along / (high - low) as f64]
+        [around, along, (high - low) as f64]
     }
 
     /// The median radius for which [`arc_mm`](Self::arc_mm) holds, mm.

@@ -32,19 +32,16 @@ impl<'a> CpuWallEngine<'a> {
                 pulp::Arch::new().dispatch(
                     #[inline(always)]
                     || {
-                        for echo in task {
-                            let (ring, node) = echo.projection();
-                            let measured = model.measure(echo, false);
+                        model.measure_each(task, false, |echo, corners, measured| {
                             let residual = echo.residual_mm.abs();
                             if !warm_up && residual > gate(wall.noise_mm, measured.wall_mm) {
-                                continue;
+                                return;
                             }
-                            let corners = grid.corners(ring, node);
                             let weight = huber_weight(wall.noise_mm, residual)
                                 * measured.weight
                                 * f64::from(echo.weight);
-                            sums.add(&corners, weight, measured.wall_mm + measured.radial_mm);
-                        }
+                            sums.add(corners, weight, measured.wall_mm + measured.radial_mm);
+                        });
                     },
                 );
                 sums

@@ -2,7 +2,7 @@
 
 use crate::recording::echo_error::{OUT_OF_PLANE, likeliest_direction};
 use crate::sweep::prepare::echo::Echo;
-use crate::sweep::prepare::grid::{SlopeReach, WallGrid};
+use crate::sweep::prepare::grid::{Corners, SlopeReach, WallGrid};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -17,6 +17,11 @@ pub(in crate::sweep) const MAX_PROJECTION_SDS: f64 = 3.0;
 const PROJECTION_STEPS: usize = 3;
 /// Echoes per parallel task: a fixed number, so that sums do not depend on the number of threads.
 pub(in crate::sweep) const TASK: usize = 8192;
+
+/// Echoes whose residuals are evaluated side by side, and the numbers that go into one, and come out.
+const BLOCK: usize = 32;
+const INPUTS: usize = 11;
+const OUTPUTS: usize = 8;
 
 /// The wall and the noise that residuals are evaluated on.
 #[derive(Debug, Clone, Copy)]
@@ -42,6 +47,19 @@ pub(in crate::sweep) struct Measured {
     pub normal: DVec3,
 }
 
+impl Measured {
+    /// Keeps residual and projection of the outputs of an echo.
+    #[inline(always)]
+    fn kept(outputs: [f64; OUTPUTS], echo: &mut Echo, project: bool) -> Self {
+        let [radial_mm, weight, wall_mm, y, z, residual_mm, rings, nodes] = outputs;
+        echo.residual_mm = residual_mm;
+        if project {
+            echo.shift = [rings as f32, nodes as f32];
+        }
+        Self { radial_mm, weight, wall_mm, normal: DVec3::new(1.0, y, z) }
+    }
+}
+
 impl<'a> ResidualModel<'a> {
     pub(in crate::sweep) fn new(
         grid: &'a WallGrid,
@@ -61,30 +79,81 @@ impl<'a> ResidualModel<'a> {
     /// rests tilted, that lifts the wall by as much as the noise.
     #[inline(always)]
     pub(in crate::sweep) fn measure(&self, echo: &mut Echo, project: bool) -> Measured {
-        let Self { grid, radii_mm: radii, noise_mm: noise, out_of_plane, reach } = *self;
+        let (_, inputs) = self.inputs(echo);
+        Measured::kept(self.outputs(inputs, project), echo, project)
+    }
+
+    /// As [`measure`](Self::measure), for many echoes; calls `each` with every echo and the triangle that it was measured on.
+    #[inline(always)]
+    pub(in crate::sweep) fn measure_each(
+        &self,
+        echoes: &mut [Echo],
+        project: bool,
+        mut each: impl FnMut(&Echo, &Corners, &Measured),
+    ) {
+        let mut triangles = [Corners::default(); BLOCK];
+        let mut inputs = [[0.0; BLOCK]; INPUTS];
+        let mut outputs = [[0.0; BLOCK]; OUTPUTS];
+        for block in echoes.chunks_mut(BLOCK) {
+            for (i, (echo, triangle)) in block.iter().zip(&mut triangles).enumerate() {
+                let (corners, values) = self.inputs(echo);
+                *triangle = corners;
+                inputs.iter_mut().zip(values).for_each(|(of_block, value)| of_block[i] = value);
+            }
+            // Divisions and roots take most of the time. Where nothing else is done, a processor computes several side by side.
+            for i in 0..BLOCK {
+                let values = self.outputs(inputs.each_ref().map(|of_block| of_block[i]), project);
+                outputs.iter_mut().zip(values).for_each(|(of_block, value)| of_block[i] = value);
+            }
+            for (i, (echo, triangle)) in block.iter_mut().zip(&triangles).enumerate() {
+                let values = outputs.each_ref().map(|of_block| of_block[i]);
+                let measured = Measured::kept(values, echo, project);
+                each(echo, triangle, &measured);
+            }
+        }
+    }
+
+    /// What the residual of an echo is computed from, and the triangle at its projection.
+    #[inline(always)]
+    fn inputs(&self, echo: &Echo) -> (Corners, [f64; INPUTS]) {
+        let Self { grid, radii_mm, reach, .. } = *self;
         let (ring, node) = echo.projection();
         let corners = grid.corners(ring, node);
-        let [r0, r1, r2] = corners.nodes.map(|n| radii[n]);
+        let [r0, r1, r2] = corners.nodes.map(|n| radii_mm[n]);
         let [w0, w1, w2] = corners.weights;
-        let wall = r0 * w0 + r1 * w1 + r2 * w2;
-        let [per_node, per_ring] = grid.slopes(&corners, radii, reach);
+        let wall_mm = r0 * w0 + r1 * w1 + r2 * w2;
+        let [around_mm, along_mm, rings] = grid.rises(&corners, radii_mm, reach);
+        let [shift_rings, shift_nodes] = echo.shift.map(f64::from);
+        let DVec3 { x, y, z } = echo.image_normal.as_dvec3();
+        let stretch = f64::from(echo.stretch);
+        let values =
+            [wall_mm, around_mm, along_mm, rings, echo.radius_mm, stretch, shift_rings, shift_nodes, x, y, z];
+        (corners, values)
+    }
+
+    /// The [`Measured`] of an echo, its residual, and with `project` the shift to its new projection.
+    #[inline(always)]
+    fn outputs(&self, inputs: [f64; INPUTS], project: bool) -> [f64; OUTPUTS] {
+        let Self { grid, noise_mm: noise, out_of_plane, reach, .. } = *self;
+        let [wall, around, along, rings_apart, radius, stretch, rings, nodes, x, y, z] = inputs;
+        let [per_node, per_ring] = [around / reach.span_nodes(), along / rings_apart];
         let arc = TAU / grid.nodes as f64 * wall;
-        let step = grid.step_mm * f64::from(echo.stretch);
+        let step = grid.step_mm * stretch;
         let [per_arc, per_step] = [arc.recip(), step.recip()];
-        let [rings, nodes] = echo.shift.map(f64::from);
         let normal = DVec3::new(1.0, -per_node * per_arc, -per_ring * per_step);
-        let from_projection = DVec3::new(echo.radius_mm - wall, -nodes * arc, -rings * step);
-        let (likeliest, variance) = likeliest_direction(normal, echo.image_normal.as_dvec3(), out_of_plane);
+        let from_projection = DVec3::new(radius - wall, -nodes * arc, -rings * step);
+        let (likeliest, variance) = likeliest_direction(normal, DVec3::new(x, y, z), out_of_plane);
         let weight = variance.recip();
-        let radial_mm = normal.dot(from_projection);
-        echo.residual_mm = radial_mm * weight.sqrt();
+        let radial = normal.dot(from_projection);
+        let residual = radial * weight.sqrt();
+        let mut shift = [0.0; 2];
         if project {
-            let (size_mm, most_mm) = (echo.residual_mm.abs(), MAX_PROJECTION_SDS * noise);
-            let share = if size_mm > most_mm { most_mm / size_mm } else { 1.0 };
-            let shift = likeliest * (-radial_mm * weight * share);
-            echo.shift = [(shift.z * per_step) as f32, (shift.y * per_arc) as f32];
+            let (size, most) = (residual.abs(), MAX_PROJECTION_SDS * noise);
+            let share = if size > most { most / size } else { 1.0 };
+            let moved = likeliest * (-radial * weight * share);
+            shift = [moved.z * per_step, moved.y * per_arc];
         }
-        Measured { radial_mm, weight, wall_mm: wall, normal }
+        [radial, weight, wall, normal.y, normal.z, residual, shift[0], shift[1]]
     }
 
     /// Moves the projections of all echoes until they have converged on the wall.
@@ -99,9 +168,7 @@ impl<'a> ResidualModel<'a> {
             pulp::Arch::new().dispatch(
                 #[inline(always)]
                 || {
-                    for echo in task {
-                        self.measure(echo, project);
-                    }
+                    self.measure_each(task, project, |_, _, _| ());
                 },
             );
         });
