@@ -8,8 +8,10 @@ pub(crate) mod nonnegative;
 pub(crate) mod robust;
 mod scalar;
 mod scan;
+mod simd;
 
 #[cfg(feature = "gpu")]
 pub(crate) use angle::ANGLE_COEFFICIENTS;
 pub use scalar::Scalar;
 pub use scan::inclusive_scan;
+pub(crate) use simd::vectorized;

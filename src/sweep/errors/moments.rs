@@ -1,6 +1,7 @@
 //! Second moments of residuals: how alike they are along a contour and from frame to frame.
 
 use super::process::Seen;
+use crate::numerics::vectorized;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
@@ -90,7 +91,6 @@ fn products(sums: &[[f64; SECTORS]], squares: &[[f64; SECTORS]]) -> Sums {
     for (frame, squares) in squares.iter().enumerate() {
         own[stretch(frame)] += squares.iter().sum::<f64>();
     }
-    let arch = pulp::Arch::new();
     let of_lag = |lag: usize| -> Sums {
         let mut sums_at = vec![[0.0; STRETCHES]; APART.len()];
         let mut first = 0;
@@ -98,7 +98,7 @@ fn products(sums: &[[f64; SECTORS]], squares: &[[f64; SECTORS]]) -> Sums {
             let here = stretch(first);
             let next = (first + 1..frames - lag).find(|&k| stretch(k) != here).unwrap_or(frames - lag);
             let (from, to) = (&sums[first..next], &sums[first + lag..next + lag]);
-            let of_stretch = arch.dispatch(
+            let of_stretch = vectorized(
                 #[inline(always)]
                 || products_apart(from, to),
             );

@@ -1,5 +1,6 @@
 //! Kinds of errors that the echoes of a recording may have, and random draws of them.
 
+use crate::numerics::vectorized;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -121,7 +122,7 @@ pub(super) fn add_draw(
                     series
                 })
                 .collect();
-            pulp::Arch::new().dispatch(
+            vectorized(
                 #[inline(always)]
                 || {
                     for (errors_mm, echoes) in errors_mm.chunks_mut(BLOCK).zip(echoes.chunks(BLOCK)) {

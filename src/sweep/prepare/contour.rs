@@ -1,6 +1,7 @@
 //! The outline of a single contour: its points without wrong echoes, and whether it is star-shaped about its centre.
 
 use crate::numerics::robust::median;
+use crate::numerics::vectorized;
 use crate::recording::Frame;
 use crate::{Error, Result};
 use glam::DVec2;
@@ -98,7 +99,7 @@ fn wrapped(points: &[DVec2], beyond: usize) -> Vec<DVec2> {
 fn medians_of_nine(numbers: &[f64]) -> Vec<f64> {
     let count = numbers.len().saturating_sub(8);
     let mut medians = vec![0.0; count];
-    pulp::Arch::new().dispatch(
+    vectorized(
         #[inline(always)]
         || {
             for (block, medians) in medians.chunks_mut(SIDE_BY_SIDE).enumerate() {

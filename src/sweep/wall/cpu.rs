@@ -6,6 +6,7 @@ use super::residual::{TASK, gate};
 use super::solver::{MAX_STEPS, System, solve};
 use crate::Result;
 use crate::numerics::robust::{huber_weight, median_size};
+use crate::numerics::vectorized;
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::WallGrid;
 use rayon::prelude::*;
@@ -29,7 +30,7 @@ impl<'a> CpuWallEngine<'a> {
             .map(|task| {
                 let mut sums = Equations::about(grid, task);
                 let model = wall.residual_model(grid);
-                pulp::Arch::new().dispatch(
+                vectorized(
                     #[inline(always)]
                     || {
                         model.measure_each(task, false, |echo, corners, measured| {

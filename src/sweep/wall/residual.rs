@@ -1,5 +1,6 @@
 //! The residual of an echo from a wall, along the echo's error ellipsoid.
 
+use crate::numerics::vectorized;
 use crate::recording::echo_error::{OUT_OF_PLANE, likeliest_direction};
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::{Corners, SlopeReach, WallGrid};
@@ -98,15 +99,34 @@ impl<'a> ResidualModel<'a> {
             for (i, (echo, triangle)) in block.iter().zip(&mut triangles).enumerate() {
                 let (corners, values) = self.inputs(echo);
                 *triangle = corners;
-                inputs.iter_mut().zip(values).for_each(|(of_block, value)| of_block[i] = value);
+                for (of_block, value) in inputs.iter_mut().zip(&values) {
+                    of_block[i] = *value;
+                }
             }
             // Divisions and roots take most of the time. Where nothing else is done, a processor computes several side by side.
+            let [wall, around, along, rings_apart, radius, stretch, rings, nodes, x, y, z] = &inputs;
             for i in 0..BLOCK {
-                let values = self.outputs(inputs.each_ref().map(|of_block| of_block[i]), project);
-                outputs.iter_mut().zip(values).for_each(|(of_block, value)| of_block[i] = value);
+                let of_echo = [
+                    wall[i],
+                    around[i],
+                    along[i],
+                    rings_apart[i],
+                    radius[i],
+                    stretch[i],
+                    rings[i],
+                    nodes[i],
+                    x[i],
+                    y[i],
+                    z[i],
+                ];
+                let values = self.outputs(of_echo, project);
+                for (of_block, value) in outputs.iter_mut().zip(&values) {
+                    of_block[i] = *value;
+                }
             }
+            let [radial, weight, wall, y, z, residual, rings, nodes] = &outputs;
             for (i, (echo, triangle)) in block.iter_mut().zip(&triangles).enumerate() {
-                let values = outputs.each_ref().map(|of_block| of_block[i]);
+                let values = [radial[i], weight[i], wall[i], y[i], z[i], residual[i], rings[i], nodes[i]];
                 let measured = Measured::kept(values, echo, project);
                 each(echo, triangle, &measured);
             }
@@ -165,7 +185,7 @@ impl<'a> ResidualModel<'a> {
     pub(in crate::sweep) fn measure_all(&self, echoes: &mut [Echo], project: bool) {
         // Smaller tasks, since nothing is summed: all threads have some.
         echoes.par_chunks_mut(TASK / 8).for_each(|task| {
-            pulp::Arch::new().dispatch(
+            vectorized(
                 #[inline(always)]
                 || {
                     self.measure_each(task, project, |_, _, _| ());
