@@ -85,11 +85,10 @@ impl WallGrid {
         let next = if j + 1 == self.nodes { 0 } else { j + 1 };
         let (row, cell) = (below * self.nodes, [below, j]);
         let (a, b, b_up, a_up) = (row + j, row + next, row + self.nodes + next, row + self.nodes + j);
-        if round >= up {
-            Corners { nodes: [a, b, b_up], weights: [1.0 - round, round - up, up], bottom: true, cell }
-        } else {
-            Corners { nodes: [a, a_up, b_up], weights: [1.0 - up, up - round, round], bottom: false, cell }
-        }
+        // Values are chosen, not ways: which triangle it is, a processor guesses wrong every other time.
+        let bottom = round >= up;
+        let (less, more, middle) = if bottom { (up, round, b) } else { (round, up, a_up) };
+        Corners { nodes: [a, middle, b_up], weights: [1.0 - more, more - less, less], bottom, cell }
     }
 
     /// How far slopes reach where echoes have the noise `noise_mm`.

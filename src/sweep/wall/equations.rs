@@ -49,10 +49,11 @@ impl Equations {
         let (pq, qr) = (of_p * q, of_q * r);
         // Sums of whole rows, zeros too: a processor adds them side by side.
         // a couples to b along the ring or to a' across; b to b' across, a' to b' along; a to b' always.
-        let (of_a, of_m) = match corners.bottom {
-            true => ([of_p * p, pq, 0.0, of_p * r, of_p * value], [of_q * q, 0.0, qr, 0.0, of_q * value]),
-            false => ([of_p * p, 0.0, pq, of_p * r, of_p * value], [of_q * q, qr, 0.0, 0.0, of_q * value]),
-        };
+        let bottom = corners.bottom;
+        let [pq_bottom, qr_bottom] = if bottom { [pq, qr] } else { [0.0; 2] };
+        let [pq_top, qr_top] = if bottom { [0.0; 2] } else { [pq, qr] };
+        let of_a = [of_p * p, pq_bottom, pq_top, of_p * r, of_p * value];
+        let of_m = [of_q * q, qr_top, qr_bottom, 0.0, of_q * value];
         let of_c = [of_r * r, 0.0, 0.0, 0.0, of_r * value];
         for (node, sums) in corners.nodes.into_iter().zip([of_a, of_m, of_c]) {
             self.rows[node - self.first].iter_mut().zip(sums).for_each(|(row, sum)| *row += sum);
