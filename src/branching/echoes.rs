@@ -18,6 +18,14 @@ pub(super) struct WorldEcho {
     pub frame: u32,
 }
 
+impl WorldEcho {
+    /// The direction that the probe sees it in, and its distance, mm; `None` where that is 0.
+    pub(super) fn ray(&self) -> Option<(DVec3, f64)> {
+        let ray_mm = self.point_mm - self.origin_mm;
+        Some((ray_mm.try_normalize()?, ray_mm.length()))
+    }
+}
+
 /// The echoes of the frames that are used. They are placed when they are asked for: all of a long recording take more
 /// memory than the recording.
 pub(super) struct WorldEchoes<'a> {

@@ -66,8 +66,7 @@ pub(super) fn fit(
     let of_joined = &*joined;
     let fitted = |parting| -> Result<Option<(Part, Vec<NodeSupport>)>> {
         let Some(mut part) = Part::of(of_joined, parting, tubes, fits) else { return Ok(None) };
-        let near = part.near(echoes);
-        let mut hits = vec![None; near.len()];
+        let (near, mut hits) = part.near(echoes)?;
         let before = part.surface.nodes_mm.clone();
         for _ in 0..ROUNDS {
             let seen = part.project(&near, &mut hits)?;
@@ -147,11 +146,19 @@ impl Part {
         })
     }
 
-    /// The echoes within reach.
-    fn near(&self, echoes: &WorldEchoes) -> Vec<WorldEcho> {
-        let Some([low, high]) = self.surface.bounding_box_mm() else { return Vec::new() };
+    /// The echoes that may lie on it, now or once its nodes have moved, and the triangles that the rays to them meet. Most of
+    /// the echoes beside a parting lie on the grids about it.
+    fn near(&self, echoes: &WorldEchoes) -> Result<(Vec<WorldEcho>, Vec<Option<u32>>)> {
+        let Some([low, high]) = self.surface.bounding_box_mm() else { return Ok(Default::default()) };
         let reach = DVec3::splat(CUT_OFF * self.noise_mm);
-        echoes.within([low - reach, high + reach])
+        let caster = RayCaster::new(&self.surface)?;
+        let beyond_mm = CUT_OFF * self.noise_mm + ROUNDS as f64 * MAX_EDGES * self.edge_mm;
+        let met = echoes.within([low - reach, high + reach]).into_par_iter().filter_map(|echo| {
+            let (direction, length_mm) = echo.ray()?;
+            let (triangle, _) = caster.cast(echo.origin_mm, direction, length_mm + beyond_mm)?;
+            Some((echo, Some(triangle)))
+        });
+        Ok(met.unzip())
     }
 
     /// The echoes on the wall that the probe sees in their directions: not on the nearest, which across a thin wall between
@@ -161,9 +168,7 @@ impl Part {
         let caster = RayCaster::new(&self.surface)?;
         let normals = self.surface.triangle_normals();
         let seen = echoes.par_iter().zip(hits).filter_map(|(echo, hit)| {
-            let ray = echo.point_mm - echo.origin_mm;
-            let length_mm = ray.length();
-            let direction = ray / length_mm;
+            let (direction, length_mm) = echo.ray()?;
             let range_mm = length_mm + CUT_OFF * self.noise_mm;
             let found = caster.cast_from(*hit, echo.origin_mm, direction, range_mm);
             *hit = found.map(|(triangle, _)| triangle);

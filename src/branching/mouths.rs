@@ -256,9 +256,7 @@ struct Crossing {
 
 impl Crossing {
     fn of(caster: &RayCaster, normals: &[DVec3], echo: &WorldEcho, within_mm: f64) -> Option<Self> {
-        let ray = echo.point_mm - echo.origin_mm;
-        let length_mm = ray.length();
-        let direction = ray.try_normalize()?;
+        let (direction, length_mm) = echo.ray()?;
         let (triangle, distance_mm) = caster.cast(echo.origin_mm, direction, length_mm + within_mm)?;
         let normal = normals[triangle as usize];
         let at_mm = echo.origin_mm + direction * distance_mm;
@@ -323,6 +321,9 @@ fn suspects(wall: &Wall, sights: &[Sight], neighbours: &[Vec<u32>]) -> Vec<Suspe
     let mut nodes: std::collections::BTreeMap<u32, Vec<u32>> = std::collections::BTreeMap::new();
     for node in (0..count as u32).filter(|&n| is_open[n as usize]) {
         nodes.entry(groups.root(node)).or_default().push(node);
+    }
+    if nodes.is_empty() {
+        return Vec::new();
     }
     let (areas, normals) = (wall.surface.node_areas_mm2(), wall.surface.node_normals());
     let suspect = |nodes: Vec<u32>| {

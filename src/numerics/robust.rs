@@ -18,14 +18,13 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
 }
 
 /// As [`median`], of |values|, on all threads.
-pub(crate) fn median_size(values: impl IndexedParallelIterator<Item = f64>) -> f64 {
+pub(crate) fn median_size(values: &[f64]) -> f64 {
     // The sign apart, bits sort like numbers: their top 14 are counted, and those that share the median's are selected from.
     const SHIFT: u32 = 50;
     const TASK: usize = 1 << 14;
-    let sizes: Vec<f64> = values.map(f64::abs).collect();
-    let top = |size: &f64| (size.to_bits() >> SHIFT) as usize;
+    let top = |value: &f64| (value.abs().to_bits() >> SHIFT) as usize;
     let count = |mut counts: Vec<u32>, task: &[f64]| {
-        task.iter().for_each(|size| counts[top(size)] += 1);
+        task.iter().for_each(|value| counts[top(value)] += 1);
         counts
     };
     let none = || vec![0_u32; 1 << (63 - SHIFT)];
@@ -33,8 +32,8 @@ pub(crate) fn median_size(values: impl IndexedParallelIterator<Item = f64>) -> f
         a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
         a
     };
-    let counts = sizes.par_chunks(TASK).fold(none, count).reduce(none, add);
-    let (mut rank, mut prefix) = (sizes.len() / 2, 0);
+    let counts = values.par_chunks(TASK).fold(none, count).reduce(none, add);
+    let (mut rank, mut prefix) = (values.len() / 2, 0);
     for (bits, count) in counts.into_iter().enumerate() {
         prefix = bits;
         if rank < count as usize {
@@ -42,7 +41,8 @@ pub(crate) fn median_size(values: impl IndexedParallelIterator<Item = f64>) -> f
         }
         rank -= count as usize;
     }
-    let mut near: Vec<f64> = sizes.into_par_iter().filter(|size| top(size) == prefix).collect();
+    let same = values.par_iter().filter(|value| top(value) == prefix);
+    let mut near: Vec<f64> = same.map(|value| value.abs()).collect();
     if near.is_empty() { 0.0 } else { *near.select_nth_unstable_by(rank, f64::total_cmp).1 }
 }
 
@@ -77,10 +77,10 @@ mod tests {
         for count in [0, 1, 2, 3, 1000, 70_001, 200_000] {
             let value = |i: usize| ((i * i % 977) as f64 - 400.0) * 0.013_f64.powi((i % 5) as i32);
             let values: Vec<f64> = (0..count).map(value).collect();
-            let found = median_size(values.par_iter().copied());
+            let found = median_size(&values);
             assert_eq!(found, median(&mut values.iter().map(|x| x.abs()).collect::<Vec<_>>()), "{count}");
         }
-        assert!(median_size([f64::NAN, -f64::NAN, 1.0].into_par_iter()).is_nan());
+        assert!(median_size(&[f64::NAN, -f64::NAN, 1.0]).is_nan());
     }
 
     #[test]

@@ -190,11 +190,14 @@ impl Mesh {
 
     /// All edges, each once, its nodes in ascending order.
     fn edges(&self) -> Vec<[u32; 2]> {
-        let of_node = |node: u32| {
-            let others = self.neighbours(node).into_iter().filter(move |&other| other > node);
-            others.map(move |other| [node, other])
-        };
-        (0..self.about.len() as u32).flat_map(of_node).collect()
+        let mut edges = Vec::with_capacity(3 * self.about.len());
+        let mut others = Vec::new();
+        for node in 0..self.about.len() as u32 {
+            others.clear();
+            self.add_neighbours(node, &mut others);
+            edges.extend(others.iter().filter(|other| **other > node).map(|other| [node, *other]));
+        }
+        edges
     }
 
     fn at(&self, node: u32) -> DVec3 {
@@ -222,12 +225,20 @@ impl Mesh {
         other.unwrap_or(a)
     }
 
+    /// The neighbours of a node, in ascending order.
     fn neighbours(&self, node: u32) -> Vec<u32> {
-        let corners = self.about[node as usize].iter().flat_map(|&t| self.triangles[t as usize]);
-        let mut neighbours: Vec<u32> = corners.filter(|&n| n != node).collect();
+        let mut neighbours = Vec::new();
+        self.add_neighbours(node, &mut neighbours);
+        neighbours
+    }
+
+    /// Fills an empty list with them.
+    fn add_neighbours(&self, node: u32, neighbours: &mut Vec<u32>) {
+        for &t in &self.about[node as usize] {
+            neighbours.extend(self.triangles[t as usize].iter().filter(|n| **n != node));
+        }
         neighbours.sort_unstable();
         neighbours.dedup();
-        neighbours
     }
 
     /// The patches that meet at an edge, in ascending order, where they are two.

@@ -98,16 +98,28 @@ pub(super) fn add_draw(
     errors_mm: &mut [f64],
 ) {
     match process {
-        Process::Ray => {
-            let mut signs = Signs::of(rng);
-            errors_mm.iter_mut().for_each(|error| *error += sd_mm * signs.draw());
-        }
+        Process::Ray => vectorized(
+            #[inline(always)]
+            || {
+                for errors_mm in errors_mm.chunks_mut(u64::BITS as usize) {
+                    let bits: u64 = rng.random();
+                    for (i, error) in (0..).zip(errors_mm) {
+                        *error += if bits >> i & 1 == 0 { sd_mm } else { -sd_mm };
+                    }
+                }
+            },
+        ),
         Process::Shift { correlation_s } => {
             let series = pair(rng, &memories(times_s, correlation_s));
-            for (error, echo) in errors_mm.iter_mut().zip(echoes) {
-                let ([cos, sin], [a, b]) = (echo.direction, series[echo.frame as usize]);
-                *error += sd_mm * (cos * a + sin * b);
-            }
+            vectorized(
+                #[inline(always)]
+                || {
+                    for (error, echo) in errors_mm.iter_mut().zip(echoes) {
+                        let ([cos, sin], [a, b]) = (echo.direction, series[echo.frame as usize]);
+                        *error += sd_mm * (cos * a + sin * b);
+                    }
+                },
+            );
         }
         Process::Contour { width_rad, correlation_s } => {
             let amplitude = |m: usize| (-0.5 * (0.5 * m as f64 * width_rad).powi(2)).exp();
@@ -174,6 +186,8 @@ const MIN_POWER: f64 = 20.0;
 const MAX_FRAMES: usize = 4096;
 /// Frequencies of a parallel task, one after the other: waves are turned from one to the next.
 const FREQUENCIES: usize = 64;
+/// Frames whose parts of a sum are added up side by side.
+const LANES: usize = 8;
 
 /// The frequency at which values of the frames oscillate, Hz, if one stands out in the sum of their powers.
 pub(super) fn frequency_hz(times_s: &[f64], values: &[&[f64]]) -> Option<f64> {
@@ -206,37 +220,63 @@ impl Spectrum {
         if span_s.is_nan() || span_s <= 0.0 {
             return None;
         }
-        let wave = |turns: f64| -> Vec<[f64; 2]> {
-            let at = |t: &f64| {
-                let (sin, cos) = (TAU * turns * t).sin_cos();
-                [cos, sin]
-            };
-            times_s.iter().map(at).collect()
+        // Zeros behind the last frame, up to whole rows of lanes, add nothing.
+        let filled = |values: &[f64]| -> Vec<f64> {
+            let mut values = values[..times_s.len()].to_vec();
+            values.resize(times_s.len().next_multiple_of(LANES), 0.0);
+            values
+        };
+        let (times_s, values) =
+            (filled(times_s), values.iter().map(|values| filled(&values[from..])).collect::<Vec<_>>());
+        let wave = |turns: f64| {
+            let (sines, cosines) = times_s.iter().map(|t| (TAU * turns * t).sin_cos()).unzip();
+            [cosines, sines]
         };
         let least = (2.0 * MIN_PERIODS) as usize;
         let of_step = wave(0.5 / span_s);
         let powers_of = |first: usize| -> Vec<f64> {
             let mut waves = wave(0.5 * first as f64 / span_s);
-            let power = |waves: &[[f64; 2]], values: &[f64]| {
-                let [re, im] = waves
-                    .iter()
-                    .zip(values)
-                    .fold([0.0; 2], |[re, im], ([cos, sin], value)| [re + value * cos, im + value * sin]);
-                re * re + im * im
-            };
-            (first..(first + FREQUENCIES).min(steps))
-                .map(|_| {
-                    let sum = values.iter().map(|values| power(&waves, &values[from..])).sum();
-                    for ([cos, sin], [x, y]) in waves.iter_mut().zip(&of_step) {
-                        (*cos, *sin) = (*cos * x - *sin * y, *sin * x + *cos * y);
+            let mut powers = vec![0.0; (first + FREQUENCIES).min(steps) - first];
+            vectorized(
+                #[inline(always)]
+                || {
+                    for power in &mut powers {
+                        for values in &values {
+                            *power += power_of(&waves, values);
+                        }
+                        turn_on(&mut waves, &of_step);
                     }
-                    sum
-                })
-                .collect()
+                },
+            );
+            powers
         };
         let firsts: Vec<usize> = (least..steps).step_by(FREQUENCIES).collect();
         let powers: Vec<f64> = firsts.into_par_iter().flat_map_iter(powers_of).collect();
         Some(Self { first: least, step_hz: 0.5 / span_s, powers })
+    }
+}
+
+/// The squares of the sums of values, times each wave.
+#[inline(always)]
+fn power_of(waves: &[Vec<f64>; 2], values: &[f64]) -> f64 {
+    let mut power = 0.0;
+    for wave in waves {
+        let mut sums = [0.0; LANES];
+        for (wave, values) in wave.chunks_exact(LANES).zip(values.chunks_exact(LANES)) {
+            for ((sum, wave), value) in sums.iter_mut().zip(wave).zip(values) {
+                *sum += value * wave;
+            }
+        }
+        power += sums.iter().sum::<f64>().powi(2);
+    }
+    power
+}
+
+/// Adds to the angles of waves, of which they are cosines and sines, those of a step.
+#[inline(always)]
+fn turn_on([cosines, sines]: &mut [Vec<f64>; 2], [step_cosines, step_sines]: &[Vec<f64>; 2]) {
+    for ((cos, sin), (x, y)) in cosines.iter_mut().zip(sines).zip(step_cosines.iter().zip(step_sines)) {
+        (*cos, *sin) = (*cos * x - *sin * y, *sin * x + *cos * y);
     }
 }
 

@@ -3,6 +3,7 @@
 use super::process::{Signs, random};
 use crate::Result;
 use crate::numerics::robust::huber_weight;
+use crate::numerics::vectorized;
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::WallGrid;
 use crate::sweep::wall::equations::Equations;
@@ -20,7 +21,7 @@ const MAX_STEPS: usize = 30;
 const BENDS: usize = 63;
 
 /// The part of an echo in the equations of the wall.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub(in crate::sweep) struct Term {
     nodes: [u32; 3],
     shares: [f32; 3],
@@ -51,33 +52,34 @@ impl Term {
 /// The echoes' parts in the equations of a wall, and the matrix of these.
 pub(in crate::sweep) fn linearised(grid: &WallGrid, echoes: &[Echo], wall: &Wall) -> (Vec<Term>, Operator) {
     let model = wall.residual_model(grid);
-    let term = |echo: &Echo| {
-        let mut echo = *echo;
-        let (ring, node) = echo.projection();
-        let corners = grid.corners(ring, node);
-        let measured = model.measure(&mut echo, false);
-        let residual = echo.residual_mm.abs();
-        let is_on_wall = residual <= gate(wall.noise_mm, measured.wall_mm);
-        let robust = if is_on_wall { huber_weight(wall.noise_mm, residual) } else { 0.0 };
-        let (weight, scale) = (robust * measured.weight * f64::from(echo.weight), measured.weight.sqrt());
-        let pull = if weight > 0.0 { weight / scale } else { 0.0 };
-        let nodes = corners.nodes.map(|n| n as u32);
-        let shares = corners.weights.map(|w| w as f32);
-        (Term { nodes, shares, pull: pull as f32, scale: scale as f32 }, weight)
+    let mut terms = vec![Term::default(); echoes.len()];
+    let of_task = |(echoes, terms): (&[Echo], &mut [Term])| {
+        let mut sums = Equations::about(grid, echoes);
+        let mut echoes = echoes.to_vec();
+        vectorized(
+            #[inline(always)]
+            || {
+                model.measure_each(&mut echoes, false, |i, echo, corners, measured| {
+                    let residual = echo.residual_mm.abs();
+                    let is_on_wall = residual <= gate(wall.noise_mm, measured.wall_mm);
+                    let robust = if is_on_wall { huber_weight(wall.noise_mm, residual) } else { 0.0 };
+                    let weight = robust * measured.weight * f64::from(echo.weight);
+                    let scale = measured.weight.sqrt();
+                    let pull = if weight > 0.0 { weight / scale } else { 0.0 };
+                    sums.add(corners, weight, 0.0);
+                    terms[i] = Term {
+                        nodes: corners.nodes.map(|n| n as u32),
+                        shares: corners.weights.map(|w| w as f32),
+                        pull: pull as f32,
+                        scale: scale as f32,
+                    };
+                });
+            },
+        );
+        sums
     };
-    let (terms, weights): (Vec<Term>, Vec<f64>) = echoes.par_iter().map(term).unzip();
-    let parts: Vec<Equations> = echoes
-        .par_chunks(TASK)
-        .zip(weights.par_chunks(TASK))
-        .map(|(echoes, weights)| {
-            let mut sums = Equations::about(grid, echoes);
-            for (echo, weight) in echoes.iter().zip(weights) {
-                let (ring, node) = echo.projection();
-                sums.add(&grid.corners(ring, node), *weight, 0.0);
-            }
-            sums
-        })
-        .collect();
+    let parts: Vec<Equations> =
+        echoes.par_chunks(TASK).zip(terms.par_chunks_mut(TASK)).map(of_task).collect();
     let equations = Equations::sum(grid, &parts);
     let operator = Operator::of(&equations, grid, wall.smoothness_mm2, &wall.local);
     (terms, operator)

@@ -105,10 +105,12 @@ fn medians_of_nine(numbers: &[f64]) -> Vec<f64> {
             for (block, medians) in medians.chunks_mut(SIDE_BY_SIDE).enumerate() {
                 let first = block * SIDE_BY_SIDE;
                 let of_nine = |k: usize| {
-                    let mut numbers_at = [0.0; SIDE_BY_SIDE];
-                    let here = &numbers[first + k..][..medians.len()];
-                    numbers_at[..here.len()].copy_from_slice(here);
-                    numbers_at
+                    let here = &numbers[first + k..];
+                    here.first_chunk().copied().unwrap_or_else(|| {
+                        let mut padded = [0.0; SIDE_BY_SIDE];
+                        padded[..here.len()].copy_from_slice(here);
+                        padded
+                    })
                 };
                 let middle = median_of_nine(std::array::from_fn(of_nine));
                 medians.copy_from_slice(&middle[..medians.len()]);
@@ -125,34 +127,33 @@ const SIDE_BY_SIDE: usize = 8;
 /// Gems, 1990).
 #[inline(always)]
 fn median_of_nine(mut x: [[f64; SIDE_BY_SIDE]; 9]) -> [f64; SIDE_BY_SIDE] {
-    const SWAPS: [(usize, usize); 19] = [
-        (1, 2),
-        (4, 5),
-        (7, 8),
-        (0, 1),
-        (3, 4),
-        (6, 7),
-        (1, 2),
-        (4, 5),
-        (7, 8),
-        (0, 3),
-        (5, 8),
-        (4, 7),
-        (3, 6),
-        (1, 4),
-        (2, 5),
-        (4, 7),
-        (4, 2),
-        (6, 4),
-        (4, 2),
-    ];
     // One instruction each, which `f64::min` is not: it minds NaN.
     let (least, greatest) = (|a: f64, b| if a < b { a } else { b }, |a: f64, b| if a > b { a } else { b });
-    for (low, high) in SWAPS {
+    let mut swap = |low: usize, high: usize| {
         let (a, b) = (x[low], x[high]);
         x[low] = std::array::from_fn(|lane| least(a[lane], b[lane]));
         x[high] = std::array::from_fn(|lane| greatest(a[lane], b[lane]));
-    }
+    };
+    // One after the other, not in a loop: so all numbers stay in registers.
+    swap(1, 2);
+    swap(4, 5);
+    swap(7, 8);
+    swap(0, 1);
+    swap(3, 4);
+    swap(6, 7);
+    swap(1, 2);
+    swap(4, 5);
+    swap(7, 8);
+    swap(0, 3);
+    swap(5, 8);
+    swap(4, 7);
+    swap(3, 6);
+    swap(1, 4);
+    swap(2, 5);
+    swap(4, 7);
+    swap(4, 2);
+    swap(6, 4);
+    swap(4, 2);
     x[4]
 }
 

@@ -84,7 +84,7 @@ pub(in crate::sweep) trait WallEngine {
 
 /// The radius of the tube that every fit starts from, mm.
 pub(in crate::sweep) fn start_mm(echoes: &[Echo]) -> f64 {
-    median_size(echoes.par_iter().map(|echo| echo.radius_mm))
+    median_size(&echoes.par_iter().map(|echo| echo.radius_mm).collect::<Vec<_>>())
 }
 
 impl Wall {

@@ -84,18 +84,19 @@ impl<'a> ResidualModel<'a> {
         Measured::kept(self.outputs(inputs, project), echo, project)
     }
 
-    /// As [`measure`](Self::measure), for many echoes; calls `each` with every echo and the triangle that it was measured on.
+    /// As [`measure`](Self::measure), for many echoes; calls `each` with the place of every echo in the list, the echo, and the
+    /// triangle that it was measured on.
     #[inline(always)]
     pub(in crate::sweep) fn measure_each(
         &self,
         echoes: &mut [Echo],
         project: bool,
-        mut each: impl FnMut(&Echo, &Corners, &Measured),
+        mut each: impl FnMut(usize, &Echo, &Corners, &Measured),
     ) {
         let mut triangles = [Corners::default(); BLOCK];
         let mut inputs = [[0.0; BLOCK]; INPUTS];
         let mut outputs = [[0.0; BLOCK]; OUTPUTS];
-        for block in echoes.chunks_mut(BLOCK) {
+        for (first, block) in (0..).step_by(BLOCK).zip(echoes.chunks_mut(BLOCK)) {
             for (i, (echo, triangle)) in block.iter().zip(&mut triangles).enumerate() {
                 let (corners, values) = self.inputs(echo);
                 *triangle = corners;
@@ -128,7 +129,7 @@ impl<'a> ResidualModel<'a> {
             for (i, (echo, triangle)) in block.iter_mut().zip(&triangles).enumerate() {
                 let values = [radial[i], weight[i], wall[i], y[i], z[i], residual[i], rings[i], nodes[i]];
                 let measured = Measured::kept(values, echo, project);
-                each(echo, triangle, &measured);
+                each(first + i, echo, triangle, &measured);
             }
         }
     }
@@ -178,18 +179,10 @@ impl<'a> ResidualModel<'a> {
 
     /// Moves the projections of all echoes until they have converged on the wall.
     pub(in crate::sweep) fn project_all(&self, echoes: &mut [Echo]) {
-        (0..PROJECTION_STEPS).for_each(|_| self.measure_all(echoes, true));
-    }
-
-    /// Evaluates the residuals of all echoes, and with `project` moves their projections.
-    pub(in crate::sweep) fn measure_all(&self, echoes: &mut [Echo], project: bool) {
-        // Smaller tasks, since nothing is summed: all threads have some.
         echoes.par_chunks_mut(TASK / 8).for_each(|task| {
             vectorized(
                 #[inline(always)]
-                || {
-                    self.measure_each(task, project, |_, _, _| ());
-                },
+                || (0..PROJECTION_STEPS).for_each(|_| self.measure_each(task, true, |_, _, _, _| ())),
             );
         });
     }
