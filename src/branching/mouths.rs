@@ -180,9 +180,9 @@ pub(super) fn flattened(tube: &Tube, lumen_mm: f64, noise_mm: f64) -> Vec<(f64, 
 
 /// Finds the mouths in a wall; gives each with the nodes of the wall within its rim.
 pub(super) fn find(wall: &Wall, echoes: &WorldEchoes) -> Result<Vec<(Mouth, Vec<u32>)>> {
-    let neighbours = wall.surface.neighbours();
+    let (neighbours, caster) = rayon::join(|| wall.surface.neighbours(), || RayCaster::new(wall.surface));
+    let caster = caster?;
     // Most of a vessel has no mouth: a part of the echoes says so.
-    let caster = RayCaster::new(wall.surface)?;
     let few = sights(wall, &caster, &echoes.at_most(FEW_SIGHTS));
     let places: Vec<(DVec3, f64)> = suspects(wall, &few, &neighbours)
         .iter()

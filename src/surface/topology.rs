@@ -4,7 +4,6 @@ use super::Surface;
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::collections::HashMap;
 
 /// A triangle whose area is below this share of its longest edge's square is degenerate: its normal would be rounding
 /// noise.
@@ -132,10 +131,16 @@ impl Surface {
 
     /// Of each node: the first one in its place.
     pub(crate) fn first_in_place(&self) -> Vec<u32> {
-        let mut first_at = HashMap::new();
         // Adding zero makes -0 and 0 the same place.
         let place = |p: &DVec3| (*p + DVec3::ZERO).to_array().map(f64::to_bits);
-        (0..).zip(&self.nodes_mm).map(|(node, p)| *first_at.entry(place(p)).or_insert(node)).collect()
+        let mut places: Vec<([u64; 3], u32)> =
+            self.nodes_mm.par_iter().map(place).zip(0..self.nodes_mm.len() as u32).collect();
+        places.par_sort_unstable();
+        let mut first = vec![0; places.len()];
+        for same in places.chunk_by(|a, b| a.0 == b.0) {
+            same.iter().for_each(|(_, node)| first[*node as usize] = same[0].1);
+        }
+        first
     }
 
     /// The surface with triangles that share a node wherever theirs are in one place, as cuts and axes need it: some
