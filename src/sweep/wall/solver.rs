@@ -131,6 +131,8 @@ impl<'a> Solver<'a> {
             };
             let next = dot(&residual, z);
             if next <= enough || step == max_steps {
+                // The cycle that told how large the residual is takes most of it away.
+                x.iter_mut().zip(z).for_each(|(x, z)| *x += f64::from(*z));
                 return Ok(Solved { steps: step, converged: next <= enough });
             }
             if !next.is_finite() {
