@@ -286,12 +286,23 @@ fn bursts_at_the_ends_of_a_recording_are_left_out_as_those_within_are() {
             assert_eq!(left_out, expected.iter().map(|(k, _)| *k).collect::<Vec<_>>());
         }
     }
-    // Right contours between two bursts are right, however few.
+    // Right contours between two bursts are right, however few at the end of a recording.
+    for (bursts, frames) in [((90..102).chain(106..117), 117), ((40..63).chain(73..85), 120)] {
+        for by in [0.55, 1.45] {
+            let mut recording = bent();
+            bursts.clone().for_each(|k| recording.frames[k].contour_mm.iter_mut().for_each(|p| *p *= by));
+            recording.frames.truncate(frames);
+            assert_eq!(
+                reasons(&recording),
+                bursts.clone().map(|k| (k, Reason::OffShape)).collect::<Vec<_>>()
+            );
+        }
+    }
+    // Less than a handful of frames between the others do not say that these are wrong.
     let mut recording = bent();
-    let bursts = (90..102).chain(106..117);
-    bursts.clone().for_each(|k| recording.frames[k].contour_mm.iter_mut().for_each(|p| *p *= 0.55));
-    recording.frames.truncate(117);
-    assert_eq!(reasons(&recording), bursts.map(|k| (k, Reason::OffShape)).collect::<Vec<_>>());
+    let narrow = (40..60).chain(63..80);
+    narrow.for_each(|k| recording.frames[k].contour_mm.iter_mut().for_each(|p| *p *= 0.55));
+    assert_eq!(reasons(&recording), [60, 61, 62].map(|k| (k, Reason::OffShape)));
     // Longer ones may be anatomy, and so may both halves of a recording.
     for frames in [0..26, 94..120, 0..60] {
         let mut recording = bent();

@@ -257,6 +257,16 @@ impl Run {
     fn frames(&self) -> usize {
         self.last - self.first + 1
     }
+
+    /// Its first few frames, whose mean shape counts.
+    fn first_of<'a>(&self, places: &'a [Place]) -> &'a [Place] {
+        &places[self.first..=self.last.min(self.first + AVERAGED - 1)]
+    }
+
+    /// Its last few.
+    fn last_of<'a>(&self, places: &'a [Place]) -> &'a [Place] {
+        &places[self.first.max((self.last + 1).saturating_sub(AVERAGED))..=self.last]
+    }
 }
 
 /// The frames, of those at `numbers`, that lie off the path of the others.
@@ -281,14 +291,12 @@ pub(super) fn off_the_path(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> 
         return Vec::new();
     }
     // A single noisy contour may stand at the end of a run: then shapes hardly differ on average.
-    let between = |a: &Run, b: &Run| {
-        let last = || mean_shape(&places[a.first.max((a.last + 1).saturating_sub(AVERAGED))..=a.last]);
-        let first = || mean_shape(&places[b.first..=b.last.min(b.first + AVERAGED - 1)]);
-        let goes_on = || {
-            last().zip(first()).is_some_and(|(a, b)| shape_step(&a, &b) <= AVERAGE_SHARE * limits.jump_shape)
-        };
-        jump(a.last, b.first).filter(|kind| *kind == Jump::Pose || !goes_on())
+    let hardly_differ = |a: &Run, b: &Run| {
+        let shapes = mean_shape(a.last_of(places)).zip(mean_shape(b.first_of(places)));
+        shapes.is_some_and(|(a, b)| shape_step(&a, &b) <= AVERAGE_SHARE * limits.jump_shape)
     };
+    let between =
+        |a: &Run, b: &Run| jump(a.last, b.first).filter(|kind| *kind == Jump::Pose || !hardly_differ(a, b));
     // The best path through some of the runs.
     let best_path = |candidates: &[usize]| -> Vec<usize> {
         let count = candidates.len();
@@ -321,6 +329,7 @@ pub(super) fn off_the_path(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> 
         path.reverse();
         path
     };
+    let frames_of = |of: &[usize]| of.iter().map(|&run| runs[run].frames()).sum::<usize>();
     let mut candidates: Vec<usize> = (0..runs.len()).collect();
     let mut kept = best_path(&candidates);
     // A burst of wrong contours at an end of the path has another jump, which nobody saw. It may consist of several runs, with
@@ -329,15 +338,38 @@ pub(super) fn off_the_path(numbers: &[usize], places: &[Place]) -> Vec<LeftOut> 
         let inwards: Vec<usize> = if is_start { kept.clone() } else { kept.iter().rev().copied().collect() };
         let jump = |pair: &[usize]| between(&runs[pair[0].min(pair[1])], &runs[pair[0].max(pair[1])]);
         let Some(last) = inwards.windows(2).position(|pair| jump(pair).is_some()) else { continue };
-        let frames = |of: &[usize]| of.iter().map(|&run| runs[run].frames()).sum::<usize>();
         let (end, rest) = inwards.split_at(last + 1);
         if jump(&inwards[last..last + 2]) == Some(Jump::Shape)
-            && frames(end) as f64 <= 2.0 * Jump::Shape.price(places.len())
-            && frames(end) < frames(rest)
+            && frames_of(end) as f64 <= 2.0 * Jump::Shape.price(places.len())
+            && frames_of(end) < frames_of(rest)
         {
             candidates.retain(|run| !end.contains(run));
             kept = best_path(&candidates);
         }
+    }
+    // Between two bursts of wrong contours that are alike, the few right ones look like a burst themselves. But they have the
+    // shape of the frames before and behind the bursts: it hardly changed, changed back, and did so again.
+    loop {
+        let shape_jumps = |k: &usize| between(&runs[kept[k - 1]], &runs[kept[*k]]) == Some(Jump::Shape);
+        let jumps: Vec<usize> = (1..kept.len()).filter(shape_jumps).collect();
+        let returns = |from: usize, to: usize| {
+            let (before, after) = (&runs[kept[from - 1]], &runs[kept[to]]);
+            let left_out = (kept[from]..kept[to]).filter(|run| kept.binary_search(run).is_err());
+            let alike = left_out.map(|run| &runs[run]);
+            let alike = alike.filter(|run| hardly_differ(before, run) && hardly_differ(run, after));
+            alike.map(Run::frames).sum::<usize>() >= AVERAGED
+        };
+        let are_few = |of: &[usize]| {
+            let frames = frames_of(of);
+            frames as f64 <= 4.0 * Jump::Shape.price(places.len()) && 2 * frames < frames_of(&kept)
+        };
+        let bursts = jumps
+            .windows(2)
+            .find(|pair| are_few(&kept[pair[0]..pair[1]]) && returns(pair[0], pair[1]))
+            .map(|pair| kept[pair[0]..pair[1]].to_vec());
+        let Some(bursts) = bursts else { break };
+        candidates.retain(|run| !bursts.contains(run));
+        kept = best_path(&candidates);
     }
     let passes = Passes::of(numbers, places, &limits);
     let mut left_out = Vec::new();
