@@ -206,3 +206,61 @@ pub(in crate::sweep) fn gate(noise_mm: f64, radius_mm: f64) -> f64 {
 pub(in crate::sweep) fn is_inlier(echo: &Echo, noise_mm: f64) -> bool {
     echo.residual_mm.abs() <= gate(noise_mm, echo.radius_mm - echo.residual_mm)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+
+    #[test]
+    fn residuals_side_by_side_are_those_of_single_echoes() {
+        let grid = WallGrid { rings: 30, nodes: 24, step_mm: 1.1, arc_mm: 0.9 };
+        let radii_mm: Vec<f64> =
+            (0..grid.node_count()).map(|n| 9.0 + (0.37 * (n * n % 101) as f64).sin()).collect();
+        let model = ResidualModel::new(&grid, &radii_mm, 0.8, OUT_OF_PLANE);
+        let echo = |i: u32| {
+            let wave = |step: f64| (step * f64::from(i * i % 977)).sin();
+            let tilt = 0.4 * wave(0.7) as f32;
+            Echo {
+                ring: 14.5 + 16.0 * wave(0.3),
+                node: 12.0 + 13.0 * wave(0.5),
+                radius_mm: 9.0 + 3.0 * wave(0.9),
+                residual_mm: 0.0,
+                image_normal: Vec3::new(tilt.sin(), 0.0, tilt.cos()),
+                stretch: 1.0 + 0.2 * wave(0.2) as f32,
+                shift: [0.3 * wave(1.3) as f32, 0.2 * wave(1.7) as f32],
+                weight: 1.0,
+                frame: i,
+            }
+        };
+        // Whole blocks, and a part of one.
+        for count in [1, 31, 32, 75] {
+            for project in [false, true] {
+                let echoes: Vec<Echo> = (0..count).map(echo).collect();
+                let mut expected = echoes.clone();
+                let measured: Vec<Measured> =
+                    expected.iter_mut().map(|echo| model.measure(echo, project)).collect();
+                let mut found = echoes.clone();
+                let mut places = Vec::new();
+                vectorized(
+                    #[inline(always)]
+                    || {
+                        model.measure_each(&mut found, project, |i, echo, corners, found| {
+                            let (ring, node) = echoes[i].projection();
+                            assert_eq!(grid.corners(ring, node).nodes, corners.nodes);
+                            assert_eq!(echo.residual_mm.to_bits(), expected[i].residual_mm.to_bits());
+                            let [a, b] = [found, &measured[i]]
+                                .map(|of| [of.radial_mm, of.weight, of.wall_mm, of.normal.y, of.normal.z]);
+                            assert_eq!(a.map(f64::to_bits), b.map(f64::to_bits), "{i} of {count}");
+                            places.push(i);
+                        });
+                    },
+                );
+                assert_eq!(places, (0..count as usize).collect::<Vec<_>>());
+                let shifts = |of: &[Echo]| of.iter().map(|echo| echo.shift).collect::<Vec<_>>();
+                assert_eq!(shifts(&found), shifts(&expected));
+                assert_eq!(project, shifts(&found) != shifts(&echoes));
+            }
+        }
+    }
+}
