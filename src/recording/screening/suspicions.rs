@@ -2,6 +2,7 @@
 
 use super::LeftOut;
 use super::hints::{contour_centre, convention};
+use crate::numerics::robust::median_size;
 use crate::recording::finding::{Finding, Findings};
 use crate::recording::summary::{MinMedianMax, min_median_max};
 use crate::recording::{Frame, Recording};
@@ -108,13 +109,15 @@ fn times(frames: &[(usize, &Frame)], findings: &mut Findings) {
 
 /// Contours and paths of a size that no vessel has. Whether both have a vessel's.
 fn lengths(frames: &[&Frame], path_mm: f64, findings: &mut Findings) -> bool {
-    let radii = |frame: &&Frame| -> Vec<f64> {
+    let radii = frames.par_iter().flat_map_iter(|frame| {
         let centre = frame.centroid_mm();
-        frame.echoes_mm().filter_map(|p| Some(p.distance(centre?))).collect()
-    };
-    let radii: Vec<Vec<f64>> = frames.par_iter().map(radii).collect();
-    let radius = min_median_max(radii.into_iter().flatten());
-    let Some(MinMedianMax { median: radius_mm, .. }) = radius else { return true };
+        frame.echoes_mm().filter_map(move |p| Some(p.distance(centre?)).filter(|d| d.is_finite()))
+    });
+    let radii: Vec<f64> = radii.collect();
+    if radii.is_empty() {
+        return true;
+    }
+    let radius_mm = median_size(&radii);
     if !LUMEN_RADII_MM.contains(&radius_mm) {
         let (guess, unit) =
             if radius_mm < LUMEN_RADII_MM.start { ("metres", "m") } else { ("micrometres or pixels", "um") };
