@@ -85,7 +85,7 @@ impl WallGrid {
         let next = if j + 1 == self.nodes { 0 } else { j + 1 };
         let (row, cell) = (below * self.nodes, [below, j]);
         let (a, b, b_up, a_up) = (row + j, row + next, row + self.nodes + next, row + self.nodes + j);
-        // Values are chosen, not ways: which triangle it is, a processor guesses wrong every other time.
+        // Values are selected without a branch, which a processor would mispredict for every other echo.
         let bottom = round >= up;
         let (less, more, middle) = if bottom { (up, round, b) } else { (round, up, a_up) };
         Corners { nodes: [a, middle, b_up], weights: [1.0 - more, more - less, less], bottom, cell }
