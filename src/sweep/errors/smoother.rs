@@ -14,7 +14,7 @@ use crate::sweep::wall::solver::Solver;
 use rayon::prelude::*;
 
 /// The share of the residual that may remain before the solver's last correction: draws need not be exact. It changes standard
-/// errors by 1 %, which is much less than other draws would.
+/// errors by 0.5 %, which is much less than other draws would.
 const TOLERANCE: f64 = 0.05;
 const MAX_STEPS: usize = 30;
 /// Stream of the random numbers of a wall's bends.
