@@ -1,6 +1,7 @@
 //! Which frames of a recording are fit to be used: they are judged before they become anatomy.
 
 mod artefacts;
+mod bursts;
 mod chords;
 mod cleaning;
 mod hints;
@@ -48,8 +49,9 @@ pub enum UnfitFrames {
 /// follows the wrong border. A frame is left out for one of these [reasons](Reason). Those that lie off the path of the
 /// others are found by dynamic programming: the path is the sequence of frames that maximises the number of its frames
 /// less a price for each of its jumps, a step that is longer than the usual ones explain. So a lost frame or a short run
-/// of them is left out, wherever it stands, whereas a sensor that is moved elsewhere and stays there is not, and neither is a
-/// shape that other passes of the catheter saw at the same place.
+/// of them is left out, wherever it stands, whereas a sensor that is moved elsewhere and stays there is not. Bursts of wrong
+/// contours show in abrupt changes of the outline, there and back; a shape that other passes of the catheter saw at the same
+/// place is kept.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Screening {
@@ -93,7 +95,7 @@ pub enum Reason {
     Lost,
     /// Its pose lies off the path of the others.
     OffPath,
-    /// Its contour has another size or shape than those just before and after.
+    /// Its contour belongs to a few that have another size or shape than those just before and after.
     OffShape,
     /// The probe lies outside its contour.
     ProbeOutside,
@@ -225,6 +227,7 @@ impl Screening {
         leave(repeats::repeats(&frames, &sound), &mut sound, &mut places);
         leave(probe::outside(&frames, &sound), &mut sound, &mut places);
         leave(path::off_the_path(&sound, &places), &mut sound, &mut places);
+        leave(bursts::bursts(&frames, &sound, &places), &mut sound, &mut places);
         left_out.sort_by_key(|one| one.place);
         let suspicions = suspicions::suspicions(recording, &frames, &left_out);
         left_out.iter_mut().for_each(|one| one.name(recording));

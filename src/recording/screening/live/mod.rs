@@ -1,5 +1,6 @@
 //! The screening while frames arrive.
 
+mod jump;
 mod on_path;
 
 use super::no_echo::Counts;

@@ -1,11 +1,10 @@
 //! Frames one by one: what is told of one at once, and what only later ones can tell.
 
 use super::Judged;
+use super::jump::{Jump, Look, Steps};
 use crate::numerics::robust::median;
 use crate::recording::Frame;
-use crate::recording::screening::path::{
-    JUMP_PRICE, Jump, LOST_STEPS, Limits, Place, is_lost_value, lost_frame, step_mm,
-};
+use crate::recording::screening::path::{JUMP_PRICE, LOST_STEPS, is_lost_value, lost_frame};
 use crate::recording::screening::{LeftOut, Reason, Screening, probe, repeats};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -28,7 +27,7 @@ pub(super) struct LivePath {
     /// Frames that have come.
     frames: usize,
     /// The last frame on the path and its number, how many frames are on it, and the numbers of the first of them.
-    last: Option<(usize, Place)>,
+    last: Option<(usize, Look)>,
     accepted: usize,
     head: Vec<usize>,
     /// Jumping runs, in the order of their first frames.
@@ -51,15 +50,15 @@ pub(super) struct LivePath {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct Run {
     frames: Vec<(usize, Frame)>,
-    last: Place,
-    /// The price of the jump to it, and where it is one of the shape of that back from it: a burst of wrong contours ends.
+    last: Look,
+    /// The [price](Jump::price) of the jump to it.
     price: f64,
 }
 
 impl Run {
     /// Its first frame with a contour.
-    fn first(&self) -> Option<Place> {
-        self.frames.iter().find(|(_, frame)| !frame.contour_mm.is_empty()).map(|(_, frame)| Place::of(frame))
+    fn first(&self) -> Option<Look> {
+        self.frames.iter().find(|(_, frame)| !frame.contour_mm.is_empty()).map(|(_, frame)| Look::of(frame))
     }
 }
 
@@ -113,10 +112,10 @@ impl LivePath {
     }
 
     fn leave_out_beside_the_path(&mut self, runs: Vec<Run>, judged: &mut Judged) {
-        let last = self.last.as_ref().map(|(_, place)| place.clone());
-        let limits = self.limits();
+        let last = self.last.as_ref().map(|(_, look)| look.clone());
+        let steps = self.steps();
         for run in runs {
-            self.leave_out(run, &limits, &last.iter().collect::<Vec<_>>(), judged);
+            self.leave_out(run, &steps, &last.iter().collect::<Vec<_>>(), judged);
         }
     }
 
@@ -180,20 +179,20 @@ impl LivePath {
 
     /// Puts a frame on the path, or among those that wait.
     fn place(&mut self, number: usize, frame: Frame, judged: &mut Judged) {
-        let place = Place::of(&frame);
-        self.radii_mm.extend(place.radius_mm());
+        let look = Look::of(&frame);
+        self.radii_mm.extend(look.place.radius_mm());
         bound(&mut self.radii_mm);
-        let limits = self.limits();
+        let steps = self.steps();
         let Some((last_number, last)) = &self.last else {
-            self.accept(number, frame, place, limits);
+            self.accept(number, frame, look, steps);
             return;
         };
-        let away_mm = step_mm(&last.pose(), &place.pose(), limits.radius_mm());
-        let is_off = away_mm > (LOST_STEPS + (number - last_number) as f64 - 1.0) * limits.usual_mm();
-        if is_lost_value(&place.pose()) && self.accepted >= MIN_ACCEPTED && is_off {
-            judged.left_out.push(lost_frame(number, away_mm, &place));
+        let away_mm = steps.pose.step_mm(&last.place, &look.place);
+        let is_off = away_mm > (LOST_STEPS + (number - last_number) as f64 - 1.0) * steps.pose.usual_mm();
+        if is_lost_value(&look.place.pose()) && self.accepted >= MIN_ACCEPTED && is_off {
+            judged.left_out.push(lost_frame(number, away_mm, &look.place));
             match self.runs.last_mut() {
-                Some(run) => run.frames.push((number, Frame::new(last.pose(), Vec::new()))),
+                Some(run) => run.frames.push((number, Frame::new(last.place.pose(), Vec::new()))),
                 None => self.ready.push_back((number, None)),
             }
             return;
@@ -202,59 +201,55 @@ impl LivePath {
         // changes abruptly and goes on from there is no wrong contour.
         let follows = |run: &Run| {
             run.frames.last().is_some_and(|(before, _)| before + 1 == number)
-                && limits.jump(&run.last, &place, 1).is_none()
+                && steps.jump(&run.last, &look, 1).is_none()
         };
         let newest = self.runs.len().checked_sub(1).filter(|&r| follows(&self.runs[r]));
-        let jump = limits.jump(last, &place, number - last_number);
+        let jump = steps.jump(last, &look, number - last_number);
         if newest.is_none() && jump.is_none() {
             let last = last.clone();
             for run in std::mem::take(&mut self.runs) {
-                self.leave_out(run, &limits, &[&last, &place], judged);
+                self.leave_out(run, &steps, &[&last, &look], judged);
             }
-            self.accept(number, frame, place, limits);
+            self.accept(number, frame, look, steps);
             return;
         }
         let goes_on =
-            newest.or_else(|| self.runs.iter().rposition(|run| limits.jump(&run.last, &place, 1).is_none()));
+            newest.or_else(|| self.runs.iter().rposition(|run| steps.jump(&run.last, &look, 1).is_none()));
         match goes_on {
             Some(r) => {
                 let run = &mut self.runs[r];
                 run.frames.push((number, frame));
-                run.last = place;
+                run.last = look;
                 // All that came after the run's start and is not part of it is off its path.
                 let used = run.frames.iter().filter(|(_, frame)| !frame.contour_mm.is_empty()).count();
                 let enough = used as f64 > run.price.min(self.accepted as f64);
                 if enough {
-                    self.go_on_with(r, limits, judged);
+                    self.go_on_with(r, steps, judged);
                 }
             }
             None => {
-                let price = match jump {
-                    Some(Jump::Shape) => 2.0 * Jump::Shape.price(usize::MAX),
-                    Some(Jump::Pose) => Jump::Pose.price(usize::MAX),
-                    None => 0.0,
-                };
-                self.runs.push(Run { frames: vec![(number, frame)], last: place, price });
+                let price = jump.map_or(0.0, Jump::price);
+                self.runs.push(Run { frames: vec![(number, frame)], last: look, price });
             }
         }
     }
 
     /// Uses a run that waited; the others are left out, and so is what was used before where it is shorter.
-    fn go_on_with(&mut self, r: usize, limits: Limits, judged: &mut Judged) {
+    fn go_on_with(&mut self, r: usize, steps: Steps, judged: &mut Judged) {
         let run = self.runs.remove(r);
         let beside = [run.first().unwrap_or_else(|| run.last.clone()), run.last.clone()];
         let beside = beside.each_ref();
         for other in std::mem::take(&mut self.runs) {
-            self.leave_out(other, &limits, &beside, judged);
+            self.leave_out(other, &steps, &beside, judged);
         }
         if self.accepted as f64 <= run.price {
             judged.restart = true;
             let first = run.frames.first().map_or(self.frames, |(number, _)| *number);
-            let on_path = self.last.take().map(|(_, place)| place);
+            let on_path = self.last.take().map(|(_, look)| look);
             for number in std::mem::take(&mut self.head) {
                 if let Some(on_path) = &on_path {
-                    let jump = limits.jump_of([on_path, on_path], &beside);
-                    judged.left_out.push(limits.why(number, on_path, jump, &beside));
+                    let jump = steps.jump_of([on_path, on_path], &beside);
+                    judged.left_out.push(steps.why(number, on_path, jump, &beside));
                 }
             }
             let later = std::mem::take(&mut self.ready).into_iter().filter(|(number, _)| *number >= first);
@@ -271,35 +266,35 @@ impl LivePath {
                 decided.push((number, None));
                 continue;
             }
-            let place = Place::of(&frame);
-            self.accept(number, frame, place, limits);
+            let look = Look::of(&frame);
+            self.accept(number, frame, look, steps);
             decided.extend(self.ready.drain(..));
         }
         decided.sort_by_key(|(number, _)| *number);
         self.ready = decided.into();
     }
 
-    fn leave_out(&mut self, run: Run, limits: &Limits, beside: &[&Place], judged: &mut Judged) {
-        let jump = run.first().map_or(Jump::Pose, |first| limits.jump_of([&first, &run.last], beside));
+    fn leave_out(&mut self, run: Run, steps: &Steps, beside: &[&Look], judged: &mut Judged) {
+        let jump = run.first().map_or(Jump::Pose, |first| steps.jump_of([&first, &run.last], beside));
         for (number, frame) in run.frames {
             if !frame.contour_mm.is_empty() {
-                judged.left_out.push(limits.why(number, &Place::of(&frame), jump, beside));
+                judged.left_out.push(steps.why(number, &Look::of(&frame), jump, beside));
             }
             let at = self.ready.partition_point(|(other, _)| *other < number);
             self.ready.insert(at, (number, None));
         }
     }
 
-    fn accept(&mut self, number: usize, frame: Frame, place: Place, limits: Limits) {
+    fn accept(&mut self, number: usize, frame: Frame, look: Look, steps: Steps) {
         if let Some((_, last)) = &self.last {
-            self.pose_steps_mm.push_back(step_mm(&last.pose(), &place.pose(), limits.radius_mm()));
-            self.shape_steps.extend(last.shape_step(&place));
+            self.pose_steps_mm.push_back(steps.pose.step_mm(&last.place, &look.place));
+            self.shape_steps.extend(last.shape_step(&look));
         }
-        self.positions_mm.push_back(place.pose().translation_mm);
+        self.positions_mm.push_back(look.place.pose().translation_mm);
         bound(&mut self.pose_steps_mm);
         bound(&mut self.shape_steps);
         bound(&mut self.positions_mm);
-        self.last = Some((number, place));
+        self.last = Some((number, look));
         self.accepted += 1;
         if self.head.len() < JUMP_PRICE as usize {
             self.head.push(number);
@@ -307,9 +302,9 @@ impl LivePath {
         self.ready.push_back((number, Some(frame)));
     }
 
-    fn limits(&self) -> Limits {
+    fn steps(&self) -> Steps {
         let radius_mm = median(&mut self.radii_mm.iter().copied().collect::<Vec<_>>());
-        Limits::new(
+        Steps::new(
             radius_mm,
             self.pose_steps_mm.iter().copied().collect(),
             self.shape_steps.iter().copied().collect(),
