@@ -1,6 +1,6 @@
 //! The axis of a vessel: a smooth curve along the middle of the lumen.
 
-use crate::geometry::polyline::{lengths, station};
+use crate::geometry::polyline::{lengths, nearest, station};
 use crate::geometry::{NaturalSpline, Pose, rotation_minimising_frames};
 use crate::sweep::Sweep;
 use crate::{Error, Result};
@@ -93,7 +93,7 @@ impl VesselAxis {
 
     /// How far along the axis its place nearest to a point lies, mm.
     pub fn station_mm(&self, point_mm: DVec3) -> f64 {
-        station(&self.points_mm, &self.lengths_mm, point_mm)
+        station(&self.points_mm, &self.lengths_mm, nearest(&self.points_mm, point_mm))
     }
 
     /// The part between two lengths, mm.

@@ -13,7 +13,7 @@ use super::tube::Tube;
 use super::{nearest_node, part};
 use crate::cylinders::merge::MergedVessel;
 use crate::cylinders::{CylinderReconstruction, Engine, FittedCylinder};
-use crate::geometry::polyline::{lengths, station};
+use crate::geometry::polyline::{Searched, lengths, station};
 use crate::numerics::robust::median;
 use crate::recording::Recording;
 use crate::settings::Settings;
@@ -308,10 +308,11 @@ impl Branch {
 /// and a branch is left the way that it was entered.
 fn merged_along(axis: &Axis, cylinders: &[FittedCylinder], settings: &Settings) -> MergedVessel {
     let along_mm = lengths(&axis.points_mm);
-    let mut placed: Vec<(f64, &FittedCylinder)> = cylinders
-        .iter()
-        .map(|c| (station(&axis.points_mm, &along_mm, c.world_from_cylinder.translation_mm), c))
-        .collect();
+    let line = Searched::of(&axis.points_mm);
+    let station_mm = |cylinder: &FittedCylinder| {
+        station(&axis.points_mm, &along_mm, line.nearest(cylinder.world_from_cylinder.translation_mm))
+    };
+    let mut placed: Vec<(f64, &FittedCylinder)> = cylinders.iter().map(|c| (station_mm(c), c)).collect();
     // Against the axis where the cylinders point so.
     let ahead = |(station_mm, cylinder): &(f64, &FittedCylinder)| {
         let ring = along_mm.partition_point(|along| along < station_mm).min(axis.rings() - 1);

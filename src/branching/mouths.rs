@@ -199,7 +199,7 @@ pub(super) fn find(wall: &Wall, echoes: &WorldEchoes) -> Result<Vec<(Mouth, Vec<
     if suspects.is_empty() {
         return Ok(Vec::new());
     }
-    let scene = Scene::of(wall, &sights, &neighbours, &suspects)?;
+    let scene = Scene::of(wall, &sights, &neighbours, &suspects);
     let found: Vec<_> =
         (0..suspects.len()).into_par_iter().map(|number| scene.mouth(number)).collect::<Result<_>>()?;
     let mut mouths: Vec<(Mouth, Vec<u32>)> = Vec::new();
@@ -654,35 +654,15 @@ struct Scene<'a> {
     beside: Vec<Option<usize>>,
     /// Where the probe looks from, of each frame.
     origins_mm: Vec<DVec3>,
-    /// The wall as it was swept, bulges and all.
-    swept: RayCaster,
-    swept_normals: Vec<DVec3>,
 }
 
 impl<'a> Scene<'a> {
-    fn of(
-        wall: &'a Wall,
-        sights: &'a [Sight],
-        neighbours: &'a [Vec<u32>],
-        suspects: &'a [Suspect],
-    ) -> Result<Self> {
+    fn of(wall: &'a Wall, sights: &'a [Sight], neighbours: &'a [Vec<u32>], suspects: &'a [Suspect]) -> Self {
         let triangles = wall.surface.triangles.clone();
         let surface = Surface { nodes_mm: wall.swept_mm.to_vec(), triangles, arrays: Vec::new() };
         let suspect = vec![None; neighbours.len()];
         let (beside, origins_mm) = (suspect.clone(), origins(sights));
-        let (swept, swept_normals) = (RayCaster::new(&surface)?, surface.triangle_normals());
-        let mut scene = Self {
-            wall,
-            sights,
-            neighbours,
-            suspects,
-            surface,
-            suspect,
-            beside,
-            origins_mm,
-            swept,
-            swept_normals,
-        };
+        let mut scene = Self { wall, sights, neighbours, suspects, surface, suspect, beside, origins_mm };
         for (number, suspect) in suspects.iter().enumerate() {
             let nodes: BTreeSet<u32> = suspect.nodes.iter().copied().collect();
             nodes.iter().for_each(|&n| scene.suspect[n as usize] = Some(number));
@@ -698,7 +678,7 @@ impl<'a> Scene<'a> {
             };
             scene.beside = (0..neighbours.len()).into_par_iter().map(of).collect();
         }
-        Ok(scene)
+        scene
     }
 
     /// Steps along the edges about some nodes that lead so far.
@@ -823,11 +803,18 @@ impl<'a> Scene<'a> {
         let near: Vec<&Sight> = self.sights.iter().filter(|sight| is_near[sight.node as usize]).collect();
         let caster = RayCaster::new(&patch.surface)?;
         let normals = patch.surface.triangle_normals();
+        // The same wall as it was swept, bulges and all.
+        let swept = Surface {
+            nodes_mm: patch.nodes.iter().map(|&n| self.wall.swept_mm[n as usize]).collect(),
+            triangles: patch.surface.triangles.clone(),
+            arrays: Vec::new(),
+        };
+        let (swept_caster, swept_normals) = (RayCaster::new(&swept)?, swept.triangle_normals());
         let deepest_mm = (DEPTH_RADII * radius_mm).max(DEPTH_SDS * noise_mm);
         let edge_mm = (EDGE_SDS * noise_mm).max(EDGE_RADII * lumen_mm);
         let off_mm = (EDGE_SDS * noise_mm).max(OFF_SWEPT_RADII * lumen_mm);
         let is_off_swept = |echo: &WorldEcho| {
-            Crossing::of(&self.swept, &self.swept_normals, echo, 0.0).is_some_and(|c| c.depth_mm > off_mm)
+            Crossing::of(&swept_caster, &swept_normals, echo, 0.0).is_some_and(|c| c.depth_mm > off_mm)
         };
         let every = near.len().div_ceil(MOST_ECHOES).max(1);
         let look = |sight: &&Sight| {

@@ -7,6 +7,7 @@
 //! best, by direction and size, become one branch and the others end.
 
 use crate::geometry::Pose;
+use crate::geometry::polyline::Searched;
 use crate::numerics::graph::{Places, shortest_paths};
 use crate::numerics::robust::median;
 use crate::recording::Frame;
@@ -122,8 +123,9 @@ impl BranchTree {
         let clusters = Clusters::of(&seen);
         let (tree, dismissed) = clusters.tree();
         let mut branches = tree.branches(&clusters);
-        let frame_branch: Vec<Option<usize>> =
-            sights.par_iter().map(|sight| sight.as_ref().map(|sight| owner(&branches, sight))).collect();
+        let middles: Vec<Middle> = branches.iter().map(BranchPath::middle).collect();
+        let owner = |sight: &Option<Sight>| sight.as_ref().map(|sight| owner(&branches, &middles, sight));
+        let frame_branch: Vec<Option<usize>> = sights.par_iter().map(owner).collect();
         for branch in frame_branch.iter().flatten() {
             branches[*branch].frames += 1;
         }
@@ -163,8 +165,8 @@ impl BranchTree {
 
 /// The branch that a frame belongs to: the one whose middle is nearest in lumen radii. Where that ends at another branch, which
 /// goes on there, frames within the lumen of the latter belong to it.
-fn owner(branches: &[BranchPath], sight: &Sight) -> usize {
-    let away: Vec<f64> = branches.iter().map(|branch| branch.radii_away(sight.centre_mm)).collect();
+fn owner(branches: &[BranchPath], middles: &[Middle], sight: &Sight) -> usize {
+    let away: Vec<f64> = middles.iter().map(|middle| middle.radii_away(sight.centre_mm)).collect();
     let mut own = (0..branches.len()).fold(0, |best, k| if away[k] < away[best] { k } else { best });
     let through =
         |own: usize| branches[own].joined.into_iter().flatten().find(|&other| away[other] < WITHIN_THROUGH);
@@ -175,6 +177,10 @@ fn owner(branches: &[BranchPath], sight: &Sight) -> usize {
 }
 
 impl BranchPath {
+    fn middle(&self) -> Middle<'_> {
+        Middle::of(&self.middle_mm, &self.radii_mm)
+    }
+
     /// Why it is taken for a branch.
     pub(super) fn reason(&self) -> String {
         match self.parent {
@@ -194,27 +200,39 @@ impl BranchPath {
         let back = first.distance(end) + last.distance(start);
         if back < forth { [self.joined[1], self.joined[0]] } else { self.joined }
     }
-
-    /// Distance of a point to its middle, in the radii there.
-    fn radii_away(&self, point_mm: DVec3) -> f64 {
-        let (distance_mm, radius_mm) = nearest_on(&self.middle_mm, &self.radii_mm, point_mm);
-        distance_mm / radius_mm
-    }
 }
 
-/// Distance of a point to a polyline, and the value there of numbers at its points.
-fn nearest_on(middle_mm: &[DVec3], values: &[f64], point_mm: DVec3) -> (f64, f64) {
-    let mut best = (point_mm.distance_squared(middle_mm[0]), values[0]);
-    for (pair, value) in middle_mm.windows(2).zip(values.windows(2)) {
-        let along = pair[1] - pair[0];
-        let share =
-            ((point_mm - pair[0]).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-        let squared = point_mm.distance_squared(pair[0] + along * share);
-        if squared < best.0 {
-            best = (squared, value[0] + share * (value[1] - value[0]));
-        }
+/// The middle of a branch, or of a path, with the radii of its lumen.
+struct Middle<'a> {
+    line: Searched<'a>,
+    radii_mm: &'a [f64],
+}
+
+impl<'a> Middle<'a> {
+    fn of(middle_mm: &'a [DVec3], radii_mm: &'a [f64]) -> Self {
+        Self { line: Searched::of(middle_mm), radii_mm }
     }
-    (best.0.sqrt(), best.1)
+
+    /// Distance of a point to it, and the radius there, mm.
+    fn nearest_mm(&self, point_mm: DVec3) -> [f64; 2] {
+        let Some((segment, share, distance_mm)) = self.line.nearest_within(point_mm) else {
+            return [f64::INFINITY, self.radii_mm[0]];
+        };
+        let next = (segment + 1).min(self.radii_mm.len() - 1);
+        [distance_mm, self.radii_mm[segment] + share * (self.radii_mm[next] - self.radii_mm[segment])]
+    }
+
+    /// How far outside the lumen about it a point lies, mm.
+    fn outside_mm(&self, point_mm: DVec3) -> f64 {
+        let [distance_mm, radius_mm] = self.nearest_mm(point_mm);
+        distance_mm - radius_mm
+    }
+
+    /// Distance of a point to it, in the radii there.
+    fn radii_away(&self, point_mm: DVec3) -> f64 {
+        let [distance_mm, radius_mm] = self.nearest_mm(point_mm);
+        distance_mm / radius_mm
+    }
 }
 
 /// Clusters of sights, and which of them are connected.
@@ -335,18 +353,18 @@ impl Clusters {
             let on_tree: Vec<usize> = tree.paths.iter().flatten().copied().collect();
             let (distances, before) = shortest_paths(&self.centres_mm, &self.neighbours, &on_tree);
             // How far outside the lumen about the tree, mm.
-            let depth_mm: Vec<f64> = (0..count)
-                .into_par_iter()
-                .map(|k| {
-                    let away = tree.paths.iter().map(|path| {
-                        let middle: Vec<DVec3> = path.iter().map(|&c| self.centres_mm[c]).collect();
-                        let radii: Vec<f64> = path.iter().map(|&c| self.all[c].radius_mm).collect();
-                        let (distance, radius) = nearest_on(&middle, &radii, self.centres_mm[k]);
-                        distance - radius
-                    });
-                    away.fold(f64::INFINITY, f64::min)
-                })
-                .collect();
+            let middles = tree.paths.iter().map(|path| {
+                let radius_mm = |&c: &usize| self.all[c].radius_mm;
+                (path.iter().map(|&c| self.centres_mm[c]).collect(), path.iter().map(radius_mm).collect())
+            });
+            let middles: Vec<(Vec<DVec3>, Vec<f64>)> = middles.collect();
+            let middles: Vec<Middle> =
+                middles.iter().map(|(middle, radii)| Middle::of(middle, radii)).collect();
+            let depth_mm = |k: usize| {
+                let away = middles.iter().map(|middle| middle.outside_mm(self.centres_mm[k]));
+                away.fold(f64::INFINITY, f64::min)
+            };
+            let depth_mm: Vec<f64> = (0..count).into_par_iter().map(depth_mm).collect();
             let is_outside =
                 |&k: &usize| !refused[k] && depth_mm[k] > LEAST_DEPTH_RADII * self.all[k].radius_mm;
             let candidates = (0..count).filter(is_outside);
@@ -534,13 +552,8 @@ fn branch(
 ) -> BranchPath {
     let middle_mm: Vec<DVec3> = path.iter().map(|&k| clusters.centres_mm[k]).collect();
     let radii_mm: Vec<f64> = path.iter().map(|&k| clusters.all[k].radius_mm).collect();
-    let beyond = |p: &DVec3| {
-        let beyond = earlier.iter().map(|other| {
-            let (distance, radius) = nearest_on(&other.middle_mm, &other.radii_mm, *p);
-            distance - radius
-        });
-        beyond.fold(f64::INFINITY, f64::min)
-    };
+    let earlier: Vec<Middle> = earlier.iter().map(BranchPath::middle).collect();
+    let beyond = |p: &DVec3| earlier.iter().map(|other| other.outside_mm(*p)).fold(f64::INFINITY, f64::min);
     let depth_mm = match parent {
         Some(_) => middle_mm.iter().map(beyond).fold(0.0, f64::max),
         None => middle_mm.windows(2).map(|pair| pair[0].distance(pair[1])).sum(),

@@ -78,9 +78,11 @@ impl RayCaster {
         }
         // Of triangles in one place the first is the nearest: the others would be searched in vain.
         let distinct = surface.distinct_triangles();
-        let leaves = distinct.iter().filter_map(|t| original.binary_search(t).ok());
-        let corners_mm: Vec<[DVec3; 3]> = original.iter().map(|&t| surface.corners_mm(t as usize)).collect();
-        Ok(Self { boxes: Boxes::about(&corners_mm, leaves), corners_mm, original })
+        let of_original = |t: &u32| original.binary_search(t).ok();
+        let leaves: Vec<usize> = distinct.par_iter().filter_map(of_original).collect();
+        let corners_mm: Vec<[DVec3; 3]> =
+            original.par_iter().map(|&t| surface.corners_mm(t as usize)).collect();
+        Ok(Self { boxes: Boxes::about(&corners_mm, &leaves), corners_mm, original })
     }
 
     /// The triangle that a ray meets first and the distance to it in lengths of `direction`; `None` where that is not
@@ -340,9 +342,12 @@ impl Boxes {
     const FAR: Vec3A = Vec3A::splat(1e18);
 
     /// Boxes about some of the triangles: at least one, each with an area.
-    fn about(corners_mm: &[[DVec3; 3]], triangles: impl Iterator<Item = usize>) -> Self {
-        let low = corners_mm.iter().flatten().copied().fold(DVec3::INFINITY, DVec3::min);
-        let high = corners_mm.iter().flatten().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+    fn about(corners_mm: &[[DVec3; 3]], triangles: &[usize]) -> Self {
+        let none = || (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let points = corners_mm.par_iter().flatten_iter();
+        let (low, high) = points
+            .fold(none, |(low, high), p| (low.min(*p), high.max(*p)))
+            .reduce(none, |a, b| (a.0.min(b.0), a.1.max(b.1)));
         let (centre_mm, per_mm) = (low.midpoint(high), low.distance(high).recip());
         let mut boxes = Self { tree: Bvh::new(), parts: Vec::new(), centre_mm, per_mm };
         let around = |corners: &[DVec3; 3]| {
@@ -351,7 +356,8 @@ impl Boxes {
             let high = a.max(b).max(c) + Self::SLACK;
             Aabb::new(low.as_vec3(), high.as_vec3())
         };
-        let mut triangles: Vec<(u32, Aabb)> = triangles.map(|t| (t as u32, around(&corners_mm[t]))).collect();
+        let around = |&t: &usize| (t as u32, around(&corners_mm[t]));
+        let mut triangles: Vec<(u32, Aabb)> = triangles.par_iter().map(around).collect();
         boxes.parts = Part::split(&mut triangles);
         let of_parts = boxes.parts.iter().map(|part| part.tree.root_aabb()).enumerate();
         boxes.tree = Bvh::from_iter(BvhBuildStrategy::Binned, of_parts);

@@ -53,21 +53,13 @@ impl Topology {
     }
 }
 
-/// An edge of a triangle. Corner k of triangle t has the number 3 t + k.
+/// An edge of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Edge {
     /// In ascending order.
     nodes: [u32; 2],
-    /// The triangle's corners there.
-    corners: [u32; 2],
-}
-
-impl Edge {
     /// Whether the triangle runs along it from the lower node to the higher.
-    fn is_upwards(&self) -> bool {
-        let [from, to] = self.corners;
-        (from + 1) % 3 == to % 3
-    }
+    is_upwards: bool,
 }
 
 impl Surface {
@@ -86,10 +78,8 @@ impl Surface {
 
         let edges = edges(&whole);
         let split = || {
-            let mut fans = fans(whole.len(), &edges);
-            let is_split =
-                |node: &&Vec<u32>| node.iter().any(|&corner| fans.root(corner) != fans.root(node[0]));
-            corners_of_nodes(self.nodes_mm.len(), &whole).iter().filter(is_split).count()
+            let corners = Corners::of_nodes(self.nodes_mm.len(), &whole);
+            (0..self.nodes_mm.len()).into_par_iter().filter(|n| corners.fans(*n, &whole).len() > 1).count()
         };
         let count = || {
             let mut parts = Groups::new(self.nodes_mm.len());
@@ -104,7 +94,7 @@ impl Surface {
                         openings.join(a, b);
                     }
                     [p, q] => {
-                        topology.inconsistent_edges += usize::from(p.is_upwards() == q.is_upwards());
+                        topology.inconsistent_edges += usize::from(p.is_upwards == q.is_upwards);
                     }
                     _ => topology.non_manifold_edges += 1,
                 }
@@ -157,23 +147,19 @@ impl Surface {
     /// part keeps the node, the others' are added behind all nodes.
     #[must_use]
     pub(crate) fn with_touching_parts_split(mut self) -> Self {
-        let mut fans = fans(self.triangles.len(), &edges(&self.triangles));
-        for (node, corners) in corners_of_nodes(self.nodes_mm.len(), &self.triangles).iter().enumerate() {
-            let mut added: Vec<(u32, u32)> = Vec::new();
-            for &corner in corners {
-                let fan = fans.root(corner);
-                if fan == fans.root(corners[0]) {
-                    continue;
+        let corners = Corners::of_nodes(self.nodes_mm.len(), &self.triangles);
+        let touching =
+            |node| Some((node, corners.fans(node, &self.triangles))).filter(|(_, fans)| fans.len() > 1);
+        let touching: Vec<(usize, Vec<Vec<u32>>)> =
+            (0..self.nodes_mm.len()).into_par_iter().filter_map(touching).collect();
+        for (node, fans) in touching {
+            for fan in fans.into_iter().skip(1) {
+                let copy = self.nodes_mm.len() as u32;
+                self.nodes_mm.push(self.nodes_mm[node]);
+                self.arrays.iter_mut().for_each(|array| array.values.push(array.values[node]));
+                for corner in fan {
+                    self.triangles[corner as usize / 3][corner as usize % 3] = copy;
                 }
-                let known = added.iter().find(|(known, _)| *known == fan).map(|(_, copy)| *copy);
-                let copy = known.unwrap_or_else(|| {
-                    let copy = self.nodes_mm.len() as u32;
-                    self.nodes_mm.push(self.nodes_mm[node]);
-                    self.arrays.iter_mut().for_each(|array| array.values.push(array.values[node]));
-                    added.push((fan, copy));
-                    copy
-                });
-                self.triangles[corner as usize / 3][corner as usize % 3] = copy;
             }
         }
         self
@@ -217,12 +203,14 @@ impl Surface {
             corners.sort_unstable();
             corners
         };
-        let mut keyed: Vec<([u32; 3], u32)> = self.triangles.iter().map(key).zip(0..).collect();
+        let mut keyed: Vec<([u32; 3], u32)> =
+            self.triangles.par_iter().map(key).zip(0..self.triangles.len() as u32).collect();
         keyed.par_sort_unstable();
-        keyed.dedup_by_key(|(corners, _)| *corners);
-        let mut distinct: Vec<u32> = keyed.into_iter().map(|(_, triangle)| triangle).collect();
-        distinct.sort_unstable();
-        distinct
+        let mut is_distinct = vec![true; keyed.len()];
+        for same in keyed.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
+            is_distinct[same[1].1 as usize] = false;
+        }
+        (0..).zip(is_distinct).filter(|(_, is)| *is).map(|(triangle, _)| triangle).collect()
     }
 
     /// The area of each triangle, mm².
@@ -291,37 +279,66 @@ fn has_three_nodes([a, b, c]: [u32; 3]) -> bool {
 
 /// All edges of triangles, sorted, so that those of neighbours follow each other.
 fn edges(triangles: &[[u32; 3]]) -> Vec<Edge> {
-    let of_triangle = |(t, nodes): (usize, &[u32; 3])| -> [Edge; 3] {
+    let of_triangle = |nodes: &[u32; 3]| -> [Edge; 3] {
         std::array::from_fn(|k| {
-            let next = (k + 1) % 3;
-            let ([a, b], [p, q]) = ([nodes[k], nodes[next]], [k, next].map(|k| (3 * t + k) as u32));
-            if a < b {
-                Edge { nodes: [a, b], corners: [p, q] }
-            } else {
-                Edge { nodes: [b, a], corners: [q, p] }
-            }
+            let [a, b] = [nodes[k], nodes[(k + 1) % 3]];
+            Edge { nodes: [a.min(b), a.max(b)], is_upwards: a < b }
         })
     };
-    let mut edges: Vec<Edge> = triangles.iter().enumerate().flat_map(of_triangle).collect();
+    let mut edges: Vec<Edge> = triangles.par_iter().flat_map_iter(of_triangle).collect();
     edges.par_sort_unstable();
     edges
 }
 
-/// The corners of so many triangles, in groups that the edges of a surface connect about a node.
-fn fans(triangles: usize, edges: &[Edge]) -> Groups {
-    let mut fans = Groups::new(3 * triangles);
-    for pair in edges.windows(2).filter(|pair| pair[0].nodes == pair[1].nodes) {
-        fans.join(pair[0].corners[0], pair[1].corners[0]);
-        fans.join(pair[0].corners[1], pair[1].corners[1]);
-    }
-    fans
+/// The corners of triangles at each node, in ascending order. Corner k of triangle t has the number 3 t + k.
+struct Corners {
+    /// Where those of each node begin, and the last end.
+    starts: Vec<u32>,
+    corners: Vec<u32>,
 }
 
-/// The corners at each node, in ascending order.
-fn corners_of_nodes(nodes: usize, triangles: &[[u32; 3]]) -> Vec<Vec<u32>> {
-    let mut of_nodes = vec![Vec::new(); nodes];
-    (0..).zip(triangles.iter().flatten()).for_each(|(corner, &node)| of_nodes[node as usize].push(corner));
-    of_nodes
+impl Corners {
+    fn of_nodes(nodes: usize, triangles: &[[u32; 3]]) -> Self {
+        let mut starts = vec![0; nodes + 1];
+        triangles.iter().flatten().for_each(|&node| starts[node as usize + 1] += 1);
+        for node in 0..nodes {
+            starts[node + 1] += starts[node];
+        }
+        let (mut next, mut corners) = (starts.clone(), vec![0; 3 * triangles.len()]);
+        for (corner, &node) in (0..).zip(triangles.iter().flatten()) {
+            let place = &mut next[node as usize];
+            corners[*place as usize] = corner;
+            *place += 1;
+        }
+        Self { starts, corners }
+    }
+
+    fn at(&self, node: usize) -> &[u32] {
+        &self.corners[self.starts[node] as usize..self.starts[node + 1] as usize]
+    }
+
+    /// The corners at a node, in groups that edges connect about it.
+    fn fans(&self, node: usize, triangles: &[[u32; 3]]) -> Vec<Vec<u32>> {
+        let corners = self.at(node);
+        let beside = |corner: u32| {
+            let (nodes, k) = (triangles[corner as usize / 3], corner as usize % 3);
+            [nodes[(k + 1) % 3], nodes[(k + 2) % 3]]
+        };
+        let share_an_edge = |a: u32, b: u32| beside(a).iter().any(|node| beside(b).contains(node));
+        let mut left = corners.to_vec();
+        let mut fans: Vec<Vec<u32>> = Vec::new();
+        while !left.is_empty() {
+            let mut fan = vec![left.remove(0)];
+            let mut reached = 0;
+            while let Some(&corner) = fan.get(reached) {
+                fan.extend(left.extract_if(.., |other| share_an_edge(corner, *other)));
+                reached += 1;
+            }
+            fan.sort_unstable();
+            fans.push(fan);
+        }
+        fans
+    }
 }
 
 /// Nodes joined into groups (union-find with path halving).

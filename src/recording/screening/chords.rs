@@ -172,7 +172,9 @@ fn straight(frame: &Frame) -> Vec<usize> {
     let points: Vec<(usize, DVec2)> =
         frame.contour_mm.iter().copied().enumerate().filter(|(_, p)| p.is_finite()).collect();
     let count = points.len();
-    let Some(middle) = frame.centroid_mm().filter(|_| count > MIN_POINTS + 2) else { return Vec::new() };
+    if count <= MIN_POINTS + 2 {
+        return Vec::new();
+    }
     let at = |i: usize| points[i % count].1;
     // How far a point lies off the line through the two beside it.
     let off_mm = |i: usize| {
@@ -182,12 +184,21 @@ fn straight(frame: &Frame) -> Vec<usize> {
     };
     let off_mm: Vec<f64> = (0..count).map(off_mm).collect();
     let usual_mm = median(&mut off_mm.clone());
+    // Equal points have no line: the comparison with what is no number fails.
+    let is_straight: Vec<bool> = off_mm.iter().map(|off| *off < MAX_OFF * usual_mm).collect();
+    // Most contours have no line.
+    let mut is_long = is_straight.iter().cycle().take(count + MIN_POINTS).scan(0, |run, is| {
+        *run = if *is { *run + 1 } else { 0 };
+        Some(*run >= MIN_POINTS)
+    });
+    if !is_long.any(|is| is) {
+        return Vec::new();
+    }
+    let Some(middle) = frame.centroid_mm() else { return Vec::new() };
     let size_mm = median(&mut points.iter().map(|(_, p)| p.distance(middle)).collect::<Vec<_>>());
     if usual_mm < MIN_USUAL * size_mm {
         return Vec::new();
     }
-    // Equal points have no line: the comparison with what is no number fails.
-    let is_straight: Vec<bool> = off_mm.iter().map(|off| *off < MAX_OFF * usual_mm).collect();
     let Some(start) = is_straight.iter().position(|is| !is) else { return Vec::new() };
     let mut found = Vec::new();
     let mut run: Vec<usize> = Vec::new();

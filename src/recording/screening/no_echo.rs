@@ -70,6 +70,12 @@ impl FoundIn {
                 keys.push([p.x.to_bits(), p.y.to_bits()]);
             }
         }
+        // Hardly any contour has equal points: first coordinates alone are sorted sooner.
+        let mut first: Vec<u64> = keys.iter().map(|key| key[0]).collect();
+        first.sort_unstable();
+        if !first.windows(MIN_POINTS).any(|some| some.iter().all(|x| *x == some[0])) {
+            return Self { infinite, at_probe, repeated: Vec::new() };
+        }
         keys.sort_unstable();
         let same = keys.chunk_by(|a, b| a == b).filter(|same| same.len() >= MIN_POINTS);
         Self { infinite, at_probe, repeated: same.map(|same| (same[0], same.len())).collect() }

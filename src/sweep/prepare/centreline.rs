@@ -4,12 +4,13 @@
 //! the vessel's axis. The centres are grouped into clusters and the clusters connected where they touch; along the longest
 //! of all shortest paths, a penalised smooth curve is fitted to the centres.
 
-use crate::geometry::polyline::{lengths, resampled, station};
+use crate::geometry::polyline::{Searched, lengths, resampled, station};
 use crate::numerics::banded::Pentadiagonal;
 use crate::numerics::graph::{Places, shortest_paths};
 use crate::numerics::robust::median;
 use crate::{Error, Result};
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// Clusters within this many cluster radii of each other touch.
 const TOUCH: f64 = 1.7;
@@ -128,7 +129,9 @@ fn clusters(centres: &[DVec3], radius: f64) -> (Vec<DVec3>, Vec<usize>) {
 /// Weights compensate for the time that the catheter spent at each place, and decrease for distant centres (Cauchy).
 fn smoothed(curve: &[DVec3], centres: &[DVec3], radius: f64) -> Option<Vec<DVec3>> {
     let lengths = lengths(curve);
-    let stations: Vec<f64> = centres.iter().map(|&p| station(curve, &lengths, p)).collect();
+    let searched = Searched::of(curve);
+    let stations: Vec<f64> =
+        centres.par_iter().map(|&p| station(curve, &lengths, searched.nearest(p))).collect();
     let low = stations.iter().copied().fold(f64::INFINITY, f64::min);
     let high = stations.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let length = high - low;

@@ -2,6 +2,7 @@
 
 use super::axis::{Axis, Place};
 use crate::geometry::Pose;
+use crate::geometry::polyline::Searched;
 use crate::recording::{FRAME_INTERVAL_S, Frame};
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
@@ -77,6 +78,7 @@ pub(in crate::sweep) fn placed(
     axis: &Axis,
     nodes: usize,
 ) -> Vec<Echo> {
+    let rings = Searched::of(&axis.points_mm);
     let of_frame = |k: usize, echoes: &mut Vec<Echo>| {
         let (frame, pose) = (&frames[k], &poses[k]);
         if contours_mm[k].is_empty() {
@@ -84,7 +86,7 @@ pub(in crate::sweep) fn placed(
         }
         let to_world = |p: DVec2| pose.transform_point(p.extend(0.0));
         let centre = frame.centroid_mm().or_else(|| frame.echoes_mm().next());
-        let near = centre.map_or(0, |centre| axis.nearest_ring(to_world(centre)));
+        let near = centre.map_or(0, |centre| rings.nearest_point(to_world(centre)));
         echoes.extend(frame.echoes_mm().filter_map(|echo| {
             let place = axis.place(to_world(echo), near)?;
             Some(Echo::new(&place, pose.rotation.z_axis, k as u32, nodes))
@@ -97,12 +99,24 @@ pub(in crate::sweep) fn placed(
         echoes
     };
     let runs: Vec<Vec<Echo>> = (0..frames.len().div_ceil(RUN)).into_par_iter().map(of_run).collect();
-    // Echoes are moved once: what is sorted are their places in the runs.
-    let mut order: Vec<(f64, u32, u32)> = Vec::with_capacity(runs.iter().map(Vec::len).sum());
-    for (run, echoes) in (0..).zip(&runs) {
-        order.extend((0..).zip(echoes).map(|(i, echo)| (echo.ring, run, i)));
+    // Echoes are moved once: what is sorted are their places in the runs, first by whole rings.
+    let mut ends = vec![0; axis.rings() + 1];
+    runs.iter().flatten().for_each(|echo| ends[echo.ring as usize + 1] += 1);
+    for ring in 1..ends.len() {
+        ends[ring] += ends[ring - 1];
     }
-    order.par_sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    let mut order: Vec<(f64, u32, u32)> = vec![(0.0, 0, 0); ends[axis.rings()]];
+    for (run, echoes) in (0..).zip(&runs) {
+        for (i, echo) in (0..).zip(echoes) {
+            let end = &mut ends[echo.ring as usize];
+            order[*end] = (echo.ring, run, i);
+            *end += 1;
+        }
+    }
+    let of_ring = order.par_chunk_by_mut(|a, b| a.0 as usize == b.0 as usize);
+    of_ring.for_each(|places| {
+        places.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    });
     order.into_par_iter().map(|(_, run, i)| runs[run as usize][i as usize]).collect()
 }
 
