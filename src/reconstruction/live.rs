@@ -69,10 +69,12 @@ impl Vessel {
         })
     }
 
-    /// Takes frames that are judged, after the last one also what a sweep has put off.
+    /// Takes frames that are judged, after the last one also what a sweep has put off. What it took of bursts of wrong contours,
+    /// a sweep forgets.
     fn take(
         &mut self,
         frames: Vec<(usize, Option<Frame>)>,
+        bursts: Vec<LeftOut>,
         is_last: bool,
         change: &mut Change,
     ) -> Result<()> {
@@ -93,10 +95,14 @@ impl Vessel {
                 }
             }
         }
-        if let Self::Sweep(sweep) = self
-            && is_last
-        {
-            change.add_step(sweep.flush()?);
+        if let Self::Sweep(sweep) = self {
+            if !bursts.is_empty() {
+                change.add_step(sweep.forget(bursts.iter().map(|one| one.place))?);
+                change.left_out.extend(bursts);
+            }
+            if is_last {
+                change.add_step(sweep.flush()?);
+            }
         }
         Ok(())
     }
@@ -128,7 +134,8 @@ pub struct Change {
     /// such frames show another branch.
     pub off_axis: bool,
     /// Frames that were found unfit now, and why; a [`Screening`](crate::recording::Screening) says what for. Also frames of the
-    /// published method whose cylinder was due and could not be fitted.
+    /// published method whose cylinder was due and could not be fitted. Frames of a burst of wrong contours may have been used
+    /// before it was over: a sweep has forgotten their echoes then.
     pub left_out: Vec<LeftOut>,
     /// Frames that wait: they jump off the path of the others, and later ones will tell whether the sensor was moved; or it is
     /// not their turn yet, since the vessel began anew.
@@ -329,14 +336,14 @@ impl Live {
 
     /// Takes the frames that are judged, after the last one also what a sweep has put off; the screening began at `start`.
     fn take(&mut self, number: usize, judged: Judged, start: Instant, is_last: bool) -> Result<Change> {
-        let Judged { restart, frames, left_out } = judged;
+        let Judged { restart, frames, left_out, bursts } = judged;
         let mut change = Change { frame: number, restarted: restart, left_out, ..Change::default() };
         change.times.screening_s = start.elapsed().as_secs_f64();
         if restart {
             self.vessel.reset();
         }
         // A frame has many short tasks, and each that a thread of the host's hands out costs two switches of threads.
-        rayon::scope(|_| self.vessel.take(frames, is_last, &mut change))?;
+        rayon::scope(|_| self.vessel.take(frames, bursts, is_last, &mut change))?;
         if restart {
             change.before = 0;
             change.changed = std::iter::once(0..self.rings()).collect();

@@ -330,7 +330,7 @@ fn a_file_that_is_no_whole_snapshot_is_told() {
         bytes[at] ^= 4;
         bytes
     };
-    says(&changed(16), "version: found 12, expected 8");
+    says(&changed(16), "version: found 13, expected 9");
     says(&changed(good.len() / 2), "content: found bytes that have changed");
     std::fs::write(&path, &good).unwrap();
     Live::restore(&path).unwrap();

@@ -339,7 +339,49 @@ fn bursts_are_found_in_noise_and_nothing_else_is() {
             assert!(share >= least_share, "{seed}, {burst:?}: {} of {wrong}", found.len());
             // A burst begins or ends one frame earlier or later.
             assert!(others.len() <= 3, "{seed}, {burst:?}: {others:?}");
+            // Live, once it is over; it is named once.
+            let mut live = Live::new(&Settings::default()).unwrap();
+            let mut named: Vec<usize> = Vec::new();
+            for frame in &recording.frames {
+                named.extend(live.push(frame).unwrap().left_out.iter().map(|one| one.frame));
+            }
+            named.extend(live.flush().unwrap().left_out.iter().map(|one| one.frame));
+            let count = named.len();
+            named.sort_unstable();
+            named.dedup();
+            assert_eq!(named.len(), count);
+            let (found, others): (Vec<usize>, Vec<usize>) = named.into_iter().partition(|&k| is_wrong[k]);
+            let share = found.len() as f64 / wrong as f64;
+            assert!(share >= least_share - 0.1, "{seed}, {burst:?}: {} of {wrong} live", found.len());
+            assert!(others.len() <= 12, "{seed}, {burst:?}: {others:?} live");
         }
+    }
+}
+
+#[test]
+fn what_a_live_vessel_took_of_a_burst_it_forgets() {
+    let vessel = Phantom::from("small_arch".parse::<Shape>().unwrap()).vessel().unwrap();
+    let truth = Truth::new(vessel.surface().clone()).unwrap();
+    let simulate = |burst_share: f64| {
+        let artefacts = Artefacts::default().with_burst_share(burst_share).with_burst(Burst::Shape);
+        let settings = SimulationSettings::default().with_faults(Faults::default().with_artefacts(artefacts));
+        Simulation::run(vessel.clone(), &settings).unwrap().recording
+    };
+    let error_mm = |recording: &Recording, unfit: UnfitFrames| {
+        let settings = Settings::default().with_unfit_frames(unfit);
+        let mut live = Live::new(&settings).unwrap();
+        recording.frames.iter().for_each(|frame| drop(live.push(frame).unwrap()));
+        // Before the whole wall is fitted, too.
+        let grown = evaluate(&live.surface(), &truth).unwrap().mesh_to_truth.mean_mm;
+        live.flush().unwrap();
+        [grown, evaluate(&live.surface(), &truth).unwrap().mesh_to_truth.mean_mm]
+    };
+    let right = error_mm(&simulate(0.0), UnfitFrames::LeaveOut);
+    let found = error_mm(&simulate(0.06), UnfitFrames::LeaveOut);
+    let kept = error_mm(&simulate(0.06), UnfitFrames::Keep);
+    for k in 0..2 {
+        assert!(found[k] < 1.25 * right[k], "{} mm, {} without bursts", found[k], right[k]);
+        assert!(kept[k] > 1.3 * right[k], "{} mm with bursts as wall, {} without", kept[k], right[k]);
     }
 }
 

@@ -6,6 +6,7 @@ use crate::geometry::Pose;
 use crate::recording::Frame;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::array::from_fn;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -14,10 +15,10 @@ use std::ops::Range;
 /// Directions about a contour's mean in which its radius is looked at. Half of them have to have echoes.
 const DIRECTIONS: usize = 12;
 /// Longer bursts may be anatomy.
-const LONGEST: usize = 24;
+pub(super) const LONGEST: usize = 24;
 /// A change is looked for between the means of so many frames before and behind it: between many because contours are noisy,
 /// between few because bursts are short.
-const WIDTHS: [usize; 3] = [1, 2, 5];
+pub(super) const WIDTHS: [usize; 3] = [1, 2, 5];
 /// It is large where it exceeds so many usual ones …
 const USUAL_RADII: [f64; 3] = [5.0, 4.2, 3.5];
 const USUAL_OUTLINES: [f64; 3] = [3.0, 2.5, 2.0];
@@ -35,9 +36,9 @@ const ABRUPT_SHARE: f64 = 0.75;
 const ABRUPT_END: f64 = 0.5;
 const ABRUPT_WIDTH: usize = 2;
 /// At an end of a recording nobody saw the other change: the one that was seen has to be so many times as large.
-const LEAST_AT_END: f64 = 1.4;
+const LEAST_AT_END: f64 = 1.1;
 /// Of changes with one sign that are at most so many frames apart, the largest counts.
-const APART: usize = 3;
+pub(super) const APART: usize = 3;
 /// Contours that lie farther apart than this share of the median radius may differ as they like.
 const WITHIN_RADII: f64 = 0.5;
 /// Other passes of the catheter confirm a burst where so many times as many saw its outline as did not.
@@ -59,13 +60,14 @@ type Outline = [f64; DIRECTIONS];
 /// catheter saw at the same place too is anatomy.
 pub(super) fn bursts(frames: &[Frame], numbers: &[usize], places: &[Place]) -> Vec<LeftOut> {
     let Some(limits) = Limits::of(places.iter()) else { return Vec::new() };
-    let sequence = Sequence::of(frames, numbers, places, limits.radius_mm());
+    let seen = seen(frames, numbers, places);
+    let sequence = Sequence { seen: &seen, radius_mm: limits.radius_mm() };
     let stretches = sequence.stretches();
     let changes: Vec<Vec<Change>> = stretches.iter().map(|stretch| sequence.changes(stretch)).collect();
-    let large = Large::among(changes.iter().flatten());
+    let large = Large::among(changes.iter().flatten().map(|change| &change.sizes));
     let bursts = stretches.iter().zip(&changes);
     let bursts: Vec<Burst> =
-        bursts.flat_map(|(stretch, changes)| sequence.bursts(stretch, changes, &large)).collect();
+        bursts.flat_map(|(stretch, changes)| sequence.bursts(stretch, [true; 2], changes, &large)).collect();
     if bursts.is_empty() {
         return Vec::new();
     }
@@ -74,38 +76,44 @@ pub(super) fn bursts(frames: &[Frame], numbers: &[usize], places: &[Place]) -> V
     wrong.flat_map(|burst| burst.frames.clone().map(|i| burst.why(sequence.seen[i].number, &large))).collect()
 }
 
-/// The frames that have an outline.
-struct Sequence {
-    seen: Vec<Seen>,
+/// Some frames that have an outline.
+#[derive(Clone, Copy)]
+pub(super) struct Sequence<'a> {
+    pub seen: &'a [Seen],
     /// Median of the contours' radii, mm.
-    radius_mm: f64,
+    pub radius_mm: f64,
 }
 
-struct Seen {
-    number: usize,
-    pose: Pose,
+/// A frame that has an outline.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Seen {
+    pub number: usize,
+    pub pose: Pose,
     /// How far the image is turned about the probe's axis since the first frame.
-    roll_rad: f64,
+    pub roll_rad: f64,
     /// In directions that do not turn with the image.
     outline: Outline,
 }
 
 /// How the outline changes just before a frame.
-struct Change {
-    at: usize,
-    /// Between as many frames as [`WIDTHS`] says; `None` where too few directions have echoes.
-    sizes: [Option<Size>; WIDTHS.len()],
+pub(super) struct Change {
+    pub at: usize,
+    pub sizes: Sizes,
 }
 
+/// The sizes of a change between as many frames as [`WIDTHS`] says; `None` where too few directions have echoes.
+pub(super) type Sizes = [Option<Size>; WIDTHS.len()];
+
 /// The size of a change: of the median radius, and of the radii in the median.
-#[derive(Clone, Copy)]
-struct Size {
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(super) struct Size {
     radius: f64,
     outline: f64,
 }
 
 /// What changes are large, for each width.
-struct Large([Size; WIDTHS.len()]);
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Large([Size; WIDTHS.len()]);
 
 /// A change that may be an end of a burst.
 struct End {
@@ -118,8 +126,8 @@ struct End {
 }
 
 /// Frames with another outline than those beside them.
-struct Burst {
-    frames: Range<usize>,
+pub(super) struct Burst {
+    pub frames: Range<usize>,
     by: Outline,
     width: usize,
     /// In units of what is large.
@@ -129,7 +137,7 @@ struct Burst {
 }
 
 /// The roll of a pose, after another one, about the probe's axis.
-fn roll_rad(from: &Pose, to: &Pose) -> f64 {
+pub(super) fn roll_rad(from: &Pose, to: &Pose) -> f64 {
     let turn = from.rotation.transpose() * to.rotation;
     (turn.x_axis.y - turn.y_axis.x).atan2(turn.x_axis.x + turn.y_axis.y)
 }
@@ -201,9 +209,9 @@ impl Size {
 }
 
 impl Large {
-    fn among<'a>(changes: impl Iterator<Item = &'a Change> + Clone) -> Self {
+    pub fn among<'a>(changes: impl Iterator<Item = &'a Sizes> + Clone) -> Self {
         Self(from_fn(|w| {
-            let sizes = || changes.clone().filter_map(|change| change.sizes[w]);
+            let sizes = || changes.clone().filter_map(|sizes| sizes[w]);
             Size {
                 radius: LEAST_RADIUS[w]
                     .max(USUAL_RADII[w] * usual(sizes().map(|size| size.radius).collect())),
@@ -221,27 +229,39 @@ impl Large {
     fn of(&self, w: usize, change: &Outline) -> f64 {
         Size::of(change).map_or(0.0, |size| self.relative(w, size))
     }
+
+    /// Whether a change may be an end of a burst.
+    pub fn may_be_end(&self, sizes: &Sizes) -> bool {
+        let large =
+            |(w, size): (usize, &Option<Size>)| size.is_some_and(|size| self.relative(w, size) >= LEAST_END);
+        sizes.iter().enumerate().any(large)
+    }
 }
 
-impl Sequence {
-    fn of(frames: &[Frame], numbers: &[usize], places: &[Place], radius_mm: f64) -> Self {
-        let turns_rad =
-            (1..places.len()).into_par_iter().map(|i| roll_rad(&places[i - 1].pose(), &places[i].pose()));
-        let turns_rad: Vec<f64> = turns_rad.collect();
-        let sum_rad = |sum: &mut f64, turn: f64| {
-            *sum = (*sum + turn) % TAU;
-            Some(*sum)
-        };
-        let rolls_rad: Vec<f64> = std::iter::once(0.0).chain(turns_rad).scan(0.0, sum_rad).collect();
-        let seen = |i: usize| {
-            let (number, pose, roll_rad) = (numbers[i], places[i].pose(), rolls_rad[i]);
-            Some(Seen { number, pose, roll_rad, outline: outline(&frames[number], roll_rad)? })
-        };
-        Self { seen: (0..places.len()).into_par_iter().filter_map(seen).collect(), radius_mm }
-    }
+/// Those of the frames that have an outline.
+fn seen(frames: &[Frame], numbers: &[usize], places: &[Place]) -> Vec<Seen> {
+    let turn_rad = |i: usize| roll_rad(&places[i - 1].pose(), &places[i].pose());
+    let turns_rad: Vec<f64> = (1..places.len()).into_par_iter().map(turn_rad).collect();
+    let sum_rad = |sum: &mut f64, turn: f64| {
+        *sum = (*sum + turn) % TAU;
+        Some(*sum)
+    };
+    let rolls_rad: Vec<f64> = std::iter::once(0.0).chain(turns_rad).scan(0.0, sum_rad).collect();
+    let seen = |i: usize| Seen::of(numbers[i], &frames[numbers[i]], rolls_rad[i]);
+    (0..places.len()).into_par_iter().filter_map(seen).collect()
+}
 
+impl Seen {
+    /// `None` where the contour has echoes in too few directions.
+    pub fn of(number: usize, frame: &Frame, roll_rad: f64) -> Option<Self> {
+        let outline = outline(frame, roll_rad)?;
+        Some(Self { number, pose: frame.world_from_sensor, roll_rad, outline })
+    }
+}
+
+impl Sequence<'_> {
     /// Runs of frames so near to each other that the wall cannot have changed from one to the next.
-    fn stretches(&self) -> Vec<Range<usize>> {
+    pub fn stretches(&self) -> Vec<Range<usize>> {
         let mut stretches: Vec<Range<usize>> = Vec::new();
         for at in 0..self.seen.len() {
             let is_near = |before: &Seen| {
@@ -274,10 +294,12 @@ impl Sequence {
         minus(&self.mean(after), &self.mean(before))
     }
 
-    fn changes(&self, stretch: &Range<usize>) -> Vec<Change> {
-        let change =
-            |at| Change { at, sizes: WIDTHS.map(|width| Size::of(&self.change(stretch, at, width))) };
-        (stretch.start + 1..stretch.end).into_par_iter().map(change).collect()
+    pub fn changes(&self, stretch: &Range<usize>) -> Vec<Change> {
+        (stretch.start + 1..stretch.end).into_par_iter().map(|at| self.change_at(stretch, at)).collect()
+    }
+
+    pub fn change_at(&self, stretch: &Range<usize>, at: usize) -> Change {
+        Change { at, sizes: WIDTHS.map(|width| Size::of(&self.change(stretch, at, width))) }
     }
 
     /// Where bursts in a stretch may begin or end.
@@ -303,23 +325,29 @@ impl Sequence {
         ends.into_iter().zip(less).filter(|(_, less)| !less).map(|(end, _)| end).collect()
     }
 
-    /// The bursts of a stretch.
-    fn bursts(&self, stretch: &Range<usize>, changes: &[Change], large: &Large) -> Vec<Burst> {
+    /// The bursts of a stretch with these changes. At its start and at its end, if these are ends, there may be bursts of which
+    /// one change is not seen.
+    pub fn bursts(
+        &self,
+        stretch: &Range<usize>,
+        are_ends: [bool; 2],
+        changes: &[Change],
+        large: &Large,
+    ) -> Vec<Burst> {
         let ends = self.ends(stretch, changes, large);
         let mut candidates: Vec<Burst> = Vec::new();
         for (e, end) in ends.iter().enumerate() {
-            candidates.extend([stretch.start..end.at, end.at..stretch.end].into_iter().filter_map(
-                |frames| {
-                    let is_short =
-                        (ABRUPT_WIDTH..=LONGEST).contains(&frames.len()) && 2 * frames.len() < stretch.len();
-                    let step = self.change(stretch, end.at, ABRUPT_WIDTH);
-                    let is_abrupt = dot(&step, &end.by) >= ABRUPT_SHARE * dot(&end.by, &end.by);
-                    (is_short && is_abrupt && end.size >= LEAST_AT_END).then(|| {
-                        let by = if frames.start == end.at { end.by } else { end.by.map(|change| -change) };
-                        Burst { frames, by, width: WIDTHS.len() - 1, size: end.size, ends: 1 }
-                    })
-                },
-            ));
+            let outer = [stretch.start..end.at, end.at..stretch.end].into_iter().zip(are_ends);
+            candidates.extend(outer.filter(|(_, is_end)| *is_end).filter_map(|(frames, _)| {
+                let is_short =
+                    (ABRUPT_WIDTH..=LONGEST).contains(&frames.len()) && 2 * frames.len() < stretch.len();
+                let step = self.change(stretch, end.at, ABRUPT_WIDTH);
+                let is_abrupt = dot(&step, &end.by) >= ABRUPT_SHARE * dot(&end.by, &end.by);
+                (is_short && is_abrupt && end.size >= LEAST_AT_END).then(|| {
+                    let by = if frames.start == end.at { end.by } else { end.by.map(|change| -change) };
+                    Burst { frames, by, width: WIDTHS.len() - 1, size: end.size, ends: 1 }
+                })
+            }));
             let within = ends[e + 1..].iter().take_while(|other| other.at - end.at <= LONGEST);
             candidates.extend(within.filter_map(|other| self.burst(stretch, end.at..other.at, large)));
         }
@@ -382,7 +410,7 @@ fn best_of(candidates: Vec<Burst>) -> Vec<Burst> {
 
 impl Burst {
     /// Why one of its frames is left out.
-    fn why(&self, frame: usize, large: &Large) -> LeftOut {
+    pub fn why(&self, frame: usize, large: &Large) -> LeftOut {
         let percent = 100.0 * middle(&self.by.map(|change| change.exp_m1().abs())).unwrap_or(0.0);
         let most_percent = 100.0 * large.0[self.width].radius.exp_m1();
         let beside = match self.ends {
@@ -405,13 +433,13 @@ impl Burst {
 
 /// The frames by place, to compare passes of the catheter.
 struct Passes<'a> {
-    sequence: &'a Sequence,
+    sequence: &'a Sequence<'a>,
     /// The frames in each cell of a cubic grid, in order.
     cells: BTreeMap<[i64; 3], Vec<usize>>,
 }
 
 impl<'a> Passes<'a> {
-    fn of(sequence: &'a Sequence) -> Self {
+    fn of(sequence: &'a Sequence<'a>) -> Self {
         let mut passes = Self { sequence, cells: BTreeMap::new() };
         for i in 0..sequence.seen.len() {
             passes.cells.entry(passes.cell(i)).or_default().push(i);

@@ -160,6 +160,8 @@ struct Estimate {
 struct Residuals<'a> {
     values_mm: &'a [f64],
     is_on_wall: &'a [bool],
+    /// For how long a place of the wall was seen, s.
+    seen_for_s: f64,
 }
 
 /// Squared roughness of a wall in units of the setting's, and what the errors make of the wall.
@@ -369,7 +371,8 @@ impl<'a> Recorded<'a> {
         let reach_mm = self.reach_mm(echoes, wall);
         let roughness_for =
             |descriptions: &[Levels]| self.roughness(&smoother, &found_mm, &bends, reach_mm, descriptions);
-        let residuals = Residuals { values_mm: &residuals_mm, is_on_wall: &is_on_wall };
+        let seen_for_s = self.seen_for_s(echoes, reach_mm);
+        let residuals = Residuals { values_mm: &residuals_mm, is_on_wall: &is_on_wall, seen_for_s };
         let descriptions = self.descriptions(&smoother, &sectors, residuals, &bends, &roughness_for)?;
         let Roughness { of_nodes, errors, sums } = roughness_for(&descriptions)?;
 
@@ -548,9 +551,11 @@ impl<'a> Recorded<'a> {
         Ok(alternatives.iter().map(|chosen| levels(&kinds, &of_kinds, chosen)).collect())
     }
 
-    /// Oscillations of the lumen's size and of the frames' places, as far as the residuals show any.
+    /// Oscillations of the lumen's size and of the frames' places, as far as the residuals show any. One whose period is longer
+    /// than a place of the wall was seen is none: waves of the wall, which the catheter passes, look the same.
     fn beats(&self, residuals: Residuals) -> Vec<Process> {
-        let Residuals { values_mm, is_on_wall } = residuals;
+        let Residuals { values_mm, is_on_wall, seen_for_s } = residuals;
+        let least_hz = seen_for_s.recip();
         // Means over each frame of the residuals, times 1, cos θ and sin θ.
         let mut sums = vec![[0.0; 3]; self.times_s.len()];
         let mut counts = vec![0.0_f64; self.times_s.len()];
@@ -564,10 +569,10 @@ impl<'a> Recorded<'a> {
             sums.iter().zip(&counts).map(|(sums, count)| sums[part] / count.max(1.0)).collect()
         };
         let [size, x, y] = [0, 1, 2].map(means);
-        let of_size =
-            frequency_hz(&self.times_s, &[&size]).map(|f| Process::Beat { order: 0, frequency_hz: f });
-        let of_place =
-            frequency_hz(&self.times_s, &[&x, &y]).map(|f| Process::Beat { order: 1, frequency_hz: f });
+        let of_size = frequency_hz(&self.times_s, &[&size], least_hz)
+            .map(|f| Process::Beat { order: 0, frequency_hz: f });
+        let of_place = frequency_hz(&self.times_s, &[&x, &y], least_hz)
+            .map(|f| Process::Beat { order: 1, frequency_hz: f });
         of_size.into_iter().chain(of_place).collect()
     }
 

@@ -189,11 +189,12 @@ const FREQUENCIES: usize = 64;
 /// Frames whose parts of a sum are added up side by side.
 const LANES: usize = 8;
 
-/// The frequency at which values of the frames oscillate, Hz, if one stands out in the sum of their powers.
-pub(super) fn frequency_hz(times_s: &[f64], values: &[&[f64]]) -> Option<f64> {
+/// The frequency at which values of the frames oscillate, Hz, at least `least_hz`, if one stands out in the sum of their powers.
+pub(super) fn frequency_hz(times_s: &[f64], values: &[&[f64]], least_hz: f64) -> Option<f64> {
     let Spectrum { first, step_hz, powers } = Spectrum::of(times_s, values)?;
     let mean = powers.iter().sum::<f64>() / powers.len().max(1) as f64;
-    let best = (0..powers.len()).max_by(|&a, &b| powers[a].total_cmp(&powers[b]).then(b.cmp(&a)))?;
+    let least = ((least_hz / step_hz).ceil() as usize).saturating_sub(first);
+    let best = (least..powers.len()).max_by(|&a, &b| powers[a].total_cmp(&powers[b]).then(b.cmp(&a)))?;
     (powers[best] > MIN_POWER * mean).then(|| (first + best) as f64 * step_hz)
 }
 
@@ -319,15 +320,16 @@ mod tests {
         let times_s: Vec<f64> = (0..600).map(|k| f64::from(k) / 12.0).collect();
         let rng = &mut random(1, 5);
         let noise: Vec<f64> = times_s.iter().map(|_| normal(rng)).collect();
-        assert_eq!(frequency_hz(&times_s, &[&noise]), None);
+        assert_eq!(frequency_hz(&times_s, &[&noise], 0.0), None);
         for expected_hz in [0.25, 1.2, 3.0] {
             let beating = |(t, noise): (&f64, &f64)| (TAU * expected_hz * t + 1.0).sin() + noise;
             let beating: Vec<f64> = times_s.iter().zip(&noise).map(beating).collect();
-            let found_hz = frequency_hz(&times_s, &[&noise, &beating]).unwrap();
+            let found_hz = frequency_hz(&times_s, &[&noise, &beating], 0.0).unwrap();
             assert!((found_hz - expected_hz).abs() < 0.011, "{found_hz}");
+            assert_eq!(frequency_hz(&times_s, &[&noise, &beating], 1.1 * expected_hz), None);
         }
-        assert_eq!(frequency_hz(&[], &[&[]]), None);
-        assert_eq!(frequency_hz(&[1.0; 9], &[&[0.3; 9]]), None);
+        assert_eq!(frequency_hz(&[], &[&[]], 0.0), None);
+        assert_eq!(frequency_hz(&[1.0; 9], &[&[0.3; 9]], 0.0), None);
     }
 
     #[test]

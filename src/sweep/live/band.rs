@@ -11,6 +11,7 @@ use crate::sweep::wall::equations::Equations;
 use crate::sweep::wall::residual::{Measured, ResidualModel, gate, is_inlier, measure_on_tube};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
@@ -429,6 +430,31 @@ impl EchoBand {
             }
             None => cell[0] = sample,
         }
+    }
+
+    /// Forgets the samples of some frames, but those that represent several echoes; whether there were any. Its sums are overdue
+    /// then.
+    pub fn forget(&mut self, frames: &BTreeSet<u32>, residuals: &mut RunningMedian) -> bool {
+        let mut forgotten = 0;
+        let mut is_kept = |sample: &Sample| {
+            let is_kept = sample.is_merged || !frames.contains(&sample.echo.frame);
+            if !is_kept {
+                forgotten += 1;
+                sample.bin.into_iter().for_each(|bin| residuals.remove(bin));
+            }
+            is_kept
+        };
+        self.cells.iter_mut().for_each(|cell| cell.retain(&mut is_kept));
+        if forgotten == 0 {
+            return false;
+        }
+        self.count = self.count.saturating_sub(forgotten);
+        if let Some(renewal) = self.renewal.take() {
+            self.is_misplaced |= renewal.places;
+            self.is_projected &= !renewal.projects;
+        }
+        (self.travel_mm, self.turn) = (f64::INFINITY, 0);
+        true
     }
 
     /// Whether its sums are being computed anew.

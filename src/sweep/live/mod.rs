@@ -20,6 +20,7 @@ use crate::settings::{Branches, Settings};
 use crate::surface::Surface;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::ops::Range;
 use vessel::PlacedFrame;
 pub(crate) use vessel::Step;
@@ -225,6 +226,21 @@ impl LiveSweep {
             offset += wall.rings();
         }
         beside
+    }
+
+    /// Forgets the echoes of some frames, and fits the walls about them again.
+    pub fn forget(&mut self, numbers: impl Iterator<Item = usize>) -> Result<Step> {
+        let frames: BTreeSet<u32> = numbers.map(|number| number as u32).collect();
+        let first = frames.first().and_then(|first| *self.times_s.get(*first as usize)?);
+        let since_s = first.unwrap_or(f64::NEG_INFINITY);
+        self.entered.iter_mut().for_each(|wall| wall.forget_waiting(&frames));
+        let mut all = Step::default();
+        for k in 0..self.walls.len() {
+            let step = self.walls[k].forget(&frames, since_s)?;
+            let step = self.in_all(k, step);
+            all.add(step);
+        }
+        Ok(all)
     }
 
     /// Adds what still waits for its wall, and fits all walls. After the last frame: it takes longer than a frame may. Frames

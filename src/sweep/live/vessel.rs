@@ -25,7 +25,7 @@ use crate::sweep::wall::solver::Solver;
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::f64::consts::TAU;
 use std::ops::Range;
 use std::time::Instant;
@@ -376,6 +376,35 @@ impl GrowingVessel {
         }
         self.refit_background(&mut step)?;
         self.errors_behind = !self.errors_behind;
+        step.solving_s = start.elapsed().as_secs_f64();
+        step.changed.retain(|range| !range.is_empty());
+        Ok(step)
+    }
+
+    /// Forgets the echoes of some frames, none of them from before a time, but those that were merged with others, and fits the
+    /// wall about them again.
+    ///
+    /// # Errors
+    /// As [`push`](Self::push).
+    pub fn forget(&mut self, frames: &BTreeSet<u32>, since_s: f64) -> Result<Step> {
+        let mut step = Step::default();
+        let start = Instant::now();
+        let is_kept = |echo: &PendingEcho| !frames.contains(&echo.frame);
+        self.untried = self.pending.iter().take(self.untried).filter(|echo| is_kept(echo)).count();
+        self.pending.retain(is_kept);
+        let mut touched: Option<Range<usize>> = None;
+        for k in self.observed.clone() {
+            let band = &mut self.bands[k];
+            if band.latest_s >= since_s && band.forget(frames, &mut self.residuals) {
+                touched = Some(touched.map_or(k..k + 2, |range| range.start..k + 2));
+            }
+        }
+        if let Some(touched) = touched {
+            let margin = self.margin() as usize;
+            let window = touched.start.saturating_sub(margin)..(touched.end + margin).min(self.grid.rings);
+            let window = window.start..window.end.min(window.start + MAX_WINDOW);
+            self.refit(window, MAX_MEASURED, 0, &mut step)?;
+        }
         step.solving_s = start.elapsed().as_secs_f64();
         step.changed.retain(|range| !range.is_empty());
         Ok(step)

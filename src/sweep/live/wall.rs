@@ -14,7 +14,7 @@ use crate::sweep::surface::surface;
 use crate::{Error, Result};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::f64::consts::TAU;
 use std::ops::Range;
 use std::time::Instant;
@@ -160,6 +160,17 @@ impl LiveWall {
         let step = Step { axis_s, ..vessel.start(&Vec::from(first))? };
         self.vessel = Some(vessel);
         Ok(step)
+    }
+
+    /// Forgets those of some frames that wait for the wall to begin.
+    pub fn forget_waiting(&mut self, frames: &BTreeSet<u32>) {
+        self.waiting.retain(|placed| !frames.contains(&placed.number));
+    }
+
+    /// Forgets the echoes of some frames, none of them from before a time, and fits the wall about them again.
+    pub fn forget(&mut self, frames: &BTreeSet<u32>, since_s: f64) -> Result<Step> {
+        self.forget_waiting(frames);
+        self.vessel.as_mut().map_or(Ok(Step::default()), |vessel| vessel.forget(frames, since_s))
     }
 
     /// Adds what still waits from before the wall began, and fits the whole wall. After the last frame: it takes longer than

@@ -1,5 +1,6 @@
 //! The screening while frames arrive.
 
+mod bursts;
 mod jump;
 mod on_path;
 
@@ -8,6 +9,7 @@ use super::path::Place;
 use super::{Cleaning, LeftOut, NoEcho};
 use crate::numerics::robust::median;
 use crate::recording::Frame;
+use bursts::LiveBursts;
 use on_path::LivePath;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -44,6 +46,7 @@ pub(crate) struct LiveScreening {
     known: Vec<NoEcho>,
     cleaning: Cleaning,
     path: LivePath,
+    bursts: LiveBursts,
     /// Frames that are named as left out, of those kept.
     named: Vec<usize>,
 }
@@ -57,6 +60,8 @@ pub(crate) struct Judged {
     pub frames: Vec<(usize, Option<Frame>)>,
     /// Frames that are found unfit now.
     pub left_out: Vec<LeftOut>,
+    /// Frames that were handed over, now or before, and turn out to be a burst of wrong contours.
+    pub bursts: Vec<LeftOut>,
 }
 
 impl LiveScreening {
@@ -68,6 +73,7 @@ impl LiveScreening {
             && self.named.iter().all(|number| *number < self.came)
             && self.cleaning.chords.and_then(|chords| chords.fixed).is_none_or(|chord| chord.is_sound())
             && self.path.is_sound(self.screened)
+            && self.bursts.is_sound(self.screened)
     }
 
     /// Frames that wait for a decision, or for their turn after the vessel began anew.
@@ -89,11 +95,13 @@ impl LiveScreening {
         let looks = self.came >= FIRST_LOOK && self.came.is_power_of_two() && self.came <= LAST_LOOK;
         if looks && self.look_again() {
             self.path = LivePath::default();
+            self.bursts = LiveBursts::default();
             self.screened = 0;
             judged.restart = true;
         }
         self.screen(FRAMES_AT_A_TIME, &mut judged);
         self.path.hand_over(FRAMES_AT_A_TIME, &mut judged);
+        self.find_bursts(&mut judged);
         self.name(&mut judged);
         judged
     }
@@ -103,6 +111,8 @@ impl LiveScreening {
         let mut judged = Judged::default();
         self.screen(usize::MAX, &mut judged);
         self.path.flush(&mut judged);
+        self.find_bursts(&mut judged);
+        self.bursts.flush(&mut judged);
         self.name(&mut judged);
         judged
     }
@@ -138,6 +148,18 @@ impl LiveScreening {
             self.known = values;
         }
         is_other
+    }
+
+    /// Looks for bursts among the frames that are handed over.
+    fn find_bursts(&mut self, judged: &mut Judged) {
+        if judged.restart {
+            self.bursts = LiveBursts::default();
+        }
+        let frames = std::mem::take(&mut judged.frames);
+        for (number, frame) in frames.iter().filter_map(|(number, frame)| Some((*number, frame.as_ref()?))) {
+            self.bursts.push(number, frame, judged);
+        }
+        judged.frames = frames;
     }
 
     /// Names each frame that is left out once, also where it is left out again.
