@@ -35,7 +35,7 @@ const MOST_UNLIKE: f64 = 0.5;
 const ABRUPT_SHARE: f64 = 0.75;
 const ABRUPT_END: f64 = 0.5;
 const ABRUPT_WIDTH: usize = 2;
-/// At an end of a recording nobody saw the other change: the one that was seen has to be so many times as large.
+/// At an end of a recording nobody saw the other change: the one that was seen has to have this size.
 const LEAST_AT_END: f64 = 1.1;
 /// Of changes with one sign that are at most so many frames apart, the largest counts.
 pub(super) const APART: usize = 3;
