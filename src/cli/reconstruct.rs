@@ -131,14 +131,16 @@ pub(super) fn print_cleaning(cleaning: &Cleaning) {
     }
 }
 
-/// The first ten of these frames, and why they are left out.
+/// The first ten runs of these frames, and why they are left out.
 pub(super) fn print_left_out(left_out: &[LeftOut]) {
     const LISTED: usize = 10;
-    for LeftOut { frame, field, found, .. } in left_out.iter().take(LISTED) {
-        println!("           frame {frame}: {field}: {found}");
+    let runs = LeftOut::runs(left_out);
+    for run in runs.iter().take(LISTED) {
+        println!("           {}: {}: {}", LeftOut::frames_of(run), run[0].field, run[0].found);
     }
-    if left_out.len() > LISTED {
-        println!("           and {} more", left_out.len() - LISTED);
+    let more: usize = runs.iter().skip(LISTED).map(|run| run.len()).sum();
+    if more > 0 {
+        println!("           and {more} more");
     }
 }
 

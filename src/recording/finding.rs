@@ -18,7 +18,7 @@ pub struct Finding {
     pub frames: usize,
     /// Of so many.
     pub of: usize,
-    /// The first of them, at most [`Finding::MAX_EXAMPLES`], or the recording's one.
+    /// The first of them, at most [`Finding::MAX_EXAMPLES`] runs of frames, or the recording's one.
     pub examples: Vec<Example>,
     /// The option of the command that mends it, where one may.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -31,12 +31,16 @@ pub struct Finding {
 pub struct Example {
     /// The frame's [number](Recording::number); `None`: the recording as a whole.
     pub frame: Option<usize>,
+    /// The last one of successive frames in which the same was found.
+    pub last_frame: Option<usize>,
+    /// How many these are; 0: the recording as a whole.
+    pub frames: usize,
     /// What was there.
     pub found: String,
 }
 
 impl Finding {
-    /// Frames listed per finding.
+    /// Runs of frames listed per finding.
     pub const MAX_EXAMPLES: usize = 10;
 }
 
@@ -45,6 +49,11 @@ pub(super) struct Findings {
     pub list: Vec<Finding>,
     /// Frames of the recording.
     of: usize,
+}
+
+/// Successive frames, by their first and last numbers.
+pub(crate) fn frames_named(first: usize, last: usize) -> String {
+    if first == last { format!("frame {first}") } else { format!("frames {first} to {last}") }
 }
 
 impl Findings {
@@ -69,15 +78,24 @@ impl Findings {
             });
         let finding = &mut self.list[at];
         finding.frames += 1;
-        if finding.examples.len() < Finding::MAX_EXAMPLES {
-            finding.examples.push(Example { frame: Some(place), found });
+        let has_room = finding.examples.len() < Finding::MAX_EXAMPLES;
+        let last = finding.examples.last_mut();
+        let is_next =
+            |run: &&mut Example| run.found == found && run.last_frame.is_some_and(|last| last + 1 == place);
+        if let Some(run) = last.filter(is_next) {
+            (run.last_frame, run.frames) = (Some(place), run.frames + 1);
+        } else if has_room {
+            let frame = Some(place);
+            finding.examples.push(Example { frame, last_frame: frame, frames: 1, found });
         }
     }
 
     /// The findings, with frames by their [numbers](Recording::number) instead of their places.
     pub fn named(mut self, recording: &Recording) -> Vec<Finding> {
         for example in self.list.iter_mut().flat_map(|finding| &mut finding.examples) {
-            example.frame = example.frame.map(|place| recording.number(place));
+            for place in [&mut example.frame, &mut example.last_frame].into_iter().flatten() {
+                *place = recording.number(*place);
+            }
         }
         self.list
     }
@@ -91,7 +109,7 @@ impl Findings {
         found: String,
         remedy: Option<String>,
     ) {
-        let examples = vec![Example { frame: None, found }];
+        let examples = vec![Example { frame: None, last_frame: None, frames: 0, found }];
         self.list.push(Finding {
             field,
             expected: expected.into(),
@@ -112,14 +130,15 @@ impl fmt::Display for Finding {
             write!(f, " in {} of {} frames", self.frames, self.of)?;
         }
         writeln!(f, ", expected {}", self.expected)?;
-        for example in &self.examples {
-            match example.frame {
-                Some(k) => writeln!(f, "  frame {k}: {}", example.found)?,
-                None => writeln!(f, "  {}", example.found)?,
+        for Example { frame, last_frame, found, .. } in &self.examples {
+            match frame.zip(*last_frame) {
+                Some((first, last)) => writeln!(f, "  {}: {found}", frames_named(first, last))?,
+                None => writeln!(f, "  {found}")?,
             }
         }
-        if self.frames > self.examples.len() {
-            writeln!(f, "  and {} more", self.frames - self.examples.len())?;
+        let listed: usize = self.examples.iter().map(|example| example.frames).sum();
+        if self.frames > listed {
+            writeln!(f, "  and {} more", self.frames - listed)?;
         }
         if let Some(remedy) = &self.remedy {
             writeln!(f, "  if so: {remedy}")?;

@@ -275,20 +275,14 @@ fn mouth_table(mouths: &[Mouth]) -> Table {
 
 /// Runs of frames that are left out for the same reason.
 fn left_out_table(left_out: &[LeftOut]) -> Table {
-    let runs: Vec<&[LeftOut]> = left_out
-        .chunk_by(|a, b| a.frame + 1 == b.frame && a.reason == b.reason && a.field == b.field)
-        .collect();
+    let runs = LeftOut::runs(left_out);
     let row = |run: &&[LeftOut]| {
-        let (first, last) = (&run[0], &run[run.len() - 1]);
-        let frames = match first.frame == last.frame {
-            true => first.frame.to_string(),
-            false => format!("{} to {}", first.frame, last.frame),
-        };
-        vec![frames, first.field.into(), first.found.clone(), first.expected.clone()]
+        let LeftOut { field, found, expected, .. } = &run[0];
+        vec![LeftOut::frames_of(run), (*field).into(), found.clone(), expected.clone()]
     };
     let more = runs.len().saturating_sub(MAX_ROWS);
     Table {
-        head: ["frames", "quantity", "found", "expected"].map(String::from).to_vec(),
+        head: ["left out", "quantity", "found", "expected"].map(String::from).to_vec(),
         rows: runs.iter().take(MAX_ROWS).map(row).collect(),
         note: if more > 0 { format!("And {more} more runs of frames.") } else { String::new() },
         ..Table::default()

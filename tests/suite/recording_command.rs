@@ -103,12 +103,19 @@ fn a_summary_names_every_frame_that_shows_no_wall() {
 }
 
 #[test]
-fn a_summary_lists_ten_frames_of_a_kind_and_counts_the_rest() {
+fn a_summary_lists_ten_runs_of_frames_of_a_kind_and_counts_the_rest() {
     let mut recording = some_recording();
-    recording.frames.iter_mut().for_each(|f| f.world_from_sensor.translation_mm.x = f64::NAN);
+    recording.frames.iter_mut().step_by(2).for_each(|f| f.world_from_sensor.translation_mm.x = f64::NAN);
     let summary = Summary::of(&recording);
-    assert_eq!((summary.defects[0].frames, summary.defects[0].examples.len()), (60, 10));
-    assert!(summary.to_string().contains("and 50 more"));
+    assert_eq!((summary.defects[0].frames, summary.defects[0].examples.len()), (30, 10));
+    assert!(summary.to_string().contains("and 20 more"));
+
+    let mut recording = some_recording();
+    recording.frames[4..7].iter_mut().for_each(|f| f.contour_mm.fill(DVec2::NAN));
+    recording.frames[9].contour_mm.fill(DVec2::NAN);
+    let said = Summary::of(&recording).to_string();
+    assert!(said.contains("  frames 4 to 6: 0 (20 missing echoes)\n  frame 9: 0 (20"), "{said}");
+    assert!(!said.contains("more"), "{said}");
 }
 
 #[test]

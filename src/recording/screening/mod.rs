@@ -18,7 +18,7 @@ pub use cleaning::Cleaning;
 pub(crate) use live::{Judged, LiveScreening};
 pub use no_echo::NoEcho;
 
-use super::finding::Finding;
+use super::finding::{Finding, frames_named};
 use super::{Conventions, Frame, Recording};
 use crate::geometry::Pose;
 use crate::{Error, Result};
@@ -82,6 +82,20 @@ pub struct LeftOut {
     pub found: String,
     /// What should have been there.
     pub expected: String,
+}
+
+impl LeftOut {
+    /// Runs of successive frames that are left out for the same reason.
+    pub(crate) fn runs(left_out: &[Self]) -> Vec<&[Self]> {
+        let are_alike =
+            |a: &Self, b: &Self| a.frame + 1 == b.frame && a.reason == b.reason && a.field == b.field;
+        left_out.chunk_by(are_alike).collect()
+    }
+
+    /// The frames of such a run.
+    pub(crate) fn frames_of(run: &[Self]) -> String {
+        frames_named(run[0].frame, run[run.len() - 1].frame)
+    }
 }
 
 /// Why a frame is left out.
