@@ -676,15 +676,21 @@ fn without_corners(middles: &mut [Option<(DVec3, f64)>]) {
     }
 }
 
-/// Places the points behind the last one that was seen on the parabola through those before it.
+/// Places the points behind the last one that was seen as far apart as those before it and on their bend, but no closer one than a
+/// lumen has: of a short branch the bend is hardly known, and rounds would add to what it makes of the points.
 fn prolong(points: &mut [DVec3], seen: &[bool]) {
-    /// Points over which the bend is taken.
+    /// Points over which the bend is taken, and the most that it turns from one to the next, a quarter of a diameter on, rad.
     const OVER: usize = 4;
+    const MAX_TURN: f64 = 0.25;
     let Some(last) = seen.iter().rposition(|&s| s).filter(|&last| last > OVER) else { return };
     let bend = |k: usize| points[k + 1] - points[k] * 2.0 + points[k - 1];
     let bend = (last - OVER..last).map(bend).sum::<DVec3>() / OVER as f64;
+    let mut step = points[last] - points[last - 1];
+    let length_mm = step.length();
+    let bend = bend.clamp_length_max(MAX_TURN * length_mm);
     for k in last + 1..points.len() {
-        points[k] = points[k - 1] * 2.0 - points[k - 2] + bend;
+        step = (step + bend).normalize_or_zero() * length_mm;
+        points[k] = points[k - 1] + step;
     }
 }
 
