@@ -85,10 +85,11 @@ const MOST_ECHOES: usize = 8000;
 /// tried with all echoes.
 const FEW_ECHOES: usize = 800;
 const LIKELIEST: usize = 2;
-/// Branches are no tubes: how far their wall lies from one, in radii of the suspected mouth, and what that leaves open of the
-/// rim, in radii of the tube.
+/// Branches are no tubes: how far their wall lies from one, in radii of the suspected mouth; and what that leaves open of the
+/// rim, in radii of the tube, and of the centre's place along the mouth, in half its length.
 const SHAPE_RADII: f64 = 0.06;
-const RIM_RADII: f64 = 0.02;
+const RIM_RADII: f64 = 0.03;
+const CENTRE_SHARE: f64 = 0.06;
 /// Where the catheter was so far behind the flat wall, in radii of a suspect, the vessel itself is wide; and where it was so
 /// deep in a tube, in the tube's radii, it is the vessel.
 const BEHIND_RADII: [f64; 2] = [0.3, 3.0];
@@ -206,7 +207,7 @@ pub(super) fn find(wall: &Wall, echoes: &WorldEchoes) -> Result<Vec<(Mouth, Vec<
     let mut tubes: Vec<LocalTube> = Vec::new();
     for (suspect, found) in suspects.iter().zip(found) {
         // Smaller suspects may lie in the mouth of a larger one.
-        let is_known = tubes.iter().any(|tube| outside_mm(tube, suspect.centre_mm) < 0.0);
+        let is_known = tubes.iter().any(|tube| suspect.is_in(tube));
         if let Some((mouth, nodes, tube)) = found.filter(|_| !is_known) {
             mouths.push((mouth, nodes));
             tubes.push(tube);
@@ -793,10 +794,7 @@ impl<'a> Scene<'a> {
         let (noise_mm, lumen_mm) = (self.wall.noise_mm[suspect.branch], self.wall.radius_mm[suspect.branch]);
         let radius_mm = suspect.radius_mm();
         let is_other: Vec<bool> = (0..self.suspects.len())
-            .map(|other| {
-                let is_in = |tube: &LocalTube| outside_mm(tube, self.suspects[other].centre_mm) < 0.0;
-                other != number && !tube.is_some_and(is_in)
-            })
+            .map(|other| other != number && !tube.is_some_and(|tube| self.suspects[other].is_in(tube)))
             .collect();
         let mut is_near = vec![false; self.neighbours.len()];
         patch.nodes.iter().for_each(|&n| is_near[n as usize] = true);
@@ -846,6 +844,12 @@ impl<'a> Scene<'a> {
 impl Suspect {
     fn radius_mm(&self) -> f64 {
         (self.area_mm2 / PI).sqrt()
+    }
+
+    /// Whether it lies in the mouth of a branch. Backwards, the branch's tube goes on to the wall across from the mouth, which
+    /// faces the other way, and may have a mouth of its own.
+    fn is_in(&self, tube: &LocalTube) -> bool {
+        outside_mm(tube, self.centre_mm) < 0.0 && self.outward.dot(tube.world_from_axis.rotation.z_axis) > 0.0
     }
 
     /// Tubes to begin the fit with: straight out, towards the echoes, and aslant.
@@ -957,9 +961,10 @@ impl Branch<'_> {
             .map(|tube| patch.within(&tube, self.centre_mm));
         let (narrow, wide) = (narrow?, wide?);
         let of_rim_mm = 0.5 * wide.centre_mm.distance(narrow.centre_mm);
+        let of_shape_mm = CENTRE_SHARE * 0.5 * (wide.area_mm2 + narrow.area_mm2) / (PI * tube.radius_mm);
         let of_rim_mm2 = 0.5 * (wide.area_mm2 - narrow.area_mm2);
         Some(Errors {
-            centre_mm: of_frames.centre_mm.max(of_sectors.centre_mm).hypot(of_rim_mm),
+            centre_mm: of_frames.centre_mm.max(of_sectors.centre_mm).hypot(of_rim_mm).hypot(of_shape_mm),
             area_mm2: of_frames.area_mm2.max(of_sectors.area_mm2).hypot(of_rim_mm2),
             direction_deg: of_frames.direction_deg.max(of_sectors.direction_deg),
         })
@@ -1002,5 +1007,28 @@ impl Errors {
             area_mm2: error(sum(&|m| (m.area_mm2 - area_mm2).powi(2))),
             direction_deg: error(sum(&|m| m.direction.angle_between(direction).to_degrees().powi(2))),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mouth_across_the_vessel_is_another_one() {
+        let suspect = |centre_mm: DVec3, outward: DVec3| Suspect {
+            branch: 0,
+            nodes: Vec::new(),
+            centre_mm,
+            area_mm2: 10.0,
+            outward,
+        };
+        // A branch of 4 mm radius that leaves the vessel at y = 8 mm.
+        let rotation = DMat3::from_cols(DVec3::Z, DVec3::X, DVec3::Y);
+        let pose = Pose { rotation, translation_mm: 8.0 * DVec3::Y };
+        let tube = LocalTube::straight(pose, 4.0);
+        assert!(suspect(DVec3::new(3.0, 8.0, 0.0), DVec3::Y).is_in(&tube));
+        assert!(!suspect(DVec3::new(5.0, 8.0, 0.0), DVec3::Y).is_in(&tube));
+        assert!(!suspect(-8.0 * DVec3::Y, -DVec3::Y).is_in(&tube));
     }
 }
