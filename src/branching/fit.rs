@@ -68,13 +68,15 @@ pub(super) fn fit(
         let Some(mut part) = Part::of(of_joined, parting, tubes, fits) else { return Ok(None) };
         let (near, mut hits) = part.near(echoes)?;
         let before = part.surface.nodes_mm.clone();
-        for _ in 0..ROUNDS {
-            let seen = part.project(&near, &mut hits)?;
-            part.move_nodes(&seen);
+        for round in 0..ROUNDS {
+            if round > 0 {
+                part.cast_again(&near, &mut hits)?;
+            }
+            part.move_nodes(&part.seen(&near, &hits));
         }
         part.untangle(&before);
-        let seen = part.project(&near, &mut hits)?;
-        let of_nodes = part.support(&seen, of_joined, fits);
+        part.cast_again(&near, &mut hits)?;
+        let of_nodes = part.support(&part.seen(&near, &hits), of_joined, fits);
         Ok(Some((part, of_nodes)))
     };
     let parts = (0..partings).into_par_iter().map(fitted).collect::<Result<Vec<_>>>()?;
@@ -100,6 +102,9 @@ struct Part {
     smoothness_mm2: f64,
     edge_mm: f64,
 }
+
+/// Where a ray meets the part: a triangle, and the distance from the probe, mm.
+type Hit = (u32, f64);
 
 /// An echo on a triangle of the part.
 #[derive(Debug, Clone, Copy)]
@@ -146,35 +151,43 @@ impl Part {
         })
     }
 
-    /// The echoes that may lie on it, now or once its nodes have moved, and the triangles that the rays to them meet. Most of
-    /// the echoes beside a parting lie on the grids about it.
-    fn near(&self, echoes: &WorldEchoes) -> Result<(Vec<WorldEcho>, Vec<Option<u32>>)> {
+    /// The echoes that may lie on it, now or once its nodes have moved, and where the rays to them meet it. Most of the echoes
+    /// beside a parting lie on the grids about it.
+    fn near(&self, echoes: &WorldEchoes) -> Result<(Vec<WorldEcho>, Vec<Option<Hit>>)> {
         let Some([low, high]) = self.surface.bounding_box_mm() else { return Ok(Default::default()) };
         let reach = DVec3::splat(CUT_OFF * self.noise_mm);
         let caster = RayCaster::new(&self.surface)?;
         let beyond_mm = CUT_OFF * self.noise_mm + ROUNDS as f64 * MAX_EDGES * self.edge_mm;
         let met = echoes.within([low - reach, high + reach]).into_par_iter().filter_map(|echo| {
             let (direction, length_mm) = echo.ray()?;
-            let (triangle, _) = caster.cast(echo.origin_mm, direction, length_mm + beyond_mm)?;
-            Some((echo, Some(triangle)))
+            let hit = caster.cast(echo.origin_mm, direction, length_mm + beyond_mm)?;
+            Some((echo, Some(hit)))
         });
         Ok(met.unzip())
     }
 
-    /// The echoes on the wall that the probe sees in their directions: not on the nearest, which across a thin wall between
-    /// two branches may be the other branch's. `hits` are the triangles that the rays to the echoes met when the nodes were last
-    /// moved, and become those that they meet now.
-    fn project(&self, echoes: &[WorldEcho], hits: &mut [Option<u32>]) -> Result<Vec<Seen>> {
+    /// Updates where the rays to the echoes meet it, once its nodes have moved.
+    fn cast_again(&self, echoes: &[WorldEcho], hits: &mut [Option<Hit>]) -> Result<()> {
         let caster = RayCaster::new(&self.surface)?;
+        echoes.par_iter().zip(hits).for_each(|(echo, hit)| {
+            *hit = echo.ray().and_then(|(direction, length_mm)| {
+                let likely = hit.map(|(triangle, _)| triangle);
+                let range_mm = length_mm + CUT_OFF * self.noise_mm;
+                caster.cast_from(likely, echo.origin_mm, direction, range_mm)
+            });
+        });
+        Ok(())
+    }
+
+    /// The echoes on the wall that the probe sees in their directions: not on the nearest, which across a thin wall between
+    /// two branches may be the other branch's.
+    fn seen(&self, echoes: &[WorldEcho], hits: &[Option<Hit>]) -> Vec<Seen> {
         let normals = self.surface.triangle_normals();
         let seen = echoes.par_iter().zip(hits).filter_map(|(echo, hit)| {
             let (direction, length_mm) = echo.ray()?;
-            let range_mm = length_mm + CUT_OFF * self.noise_mm;
-            let found = caster.cast_from(*hit, echo.origin_mm, direction, range_mm);
-            *hit = found.map(|(triangle, _)| triangle);
-            let (triangle, distance_mm) = found?;
+            let (triangle, distance_mm) = (*hit)?;
             let normal = normals[triangle as usize];
-            if direction.dot(normal) < LEAST_COSINE {
+            if distance_mm >= length_mm + CUT_OFF * self.noise_mm || direction.dot(normal) < LEAST_COSINE {
                 return None;
             }
             let corners = self.surface.triangles[triangle as usize];
@@ -185,7 +198,7 @@ impl Part {
             let distance_mm = (echo.point_mm - there).dot(normal) - bias;
             Some(Seen { triangle, shares, distance_mm, frame: echo.frame })
         });
-        Ok(seen.collect())
+        seen.collect()
     }
 
     /// Moves the free nodes along their normals.

@@ -134,18 +134,15 @@ fn trim(tubes: &mut [Tube], inner_ends: &[[Option<usize>; 2]]) -> Vec<Vec<usize>
             let (first, last) = (*tube.rings.start(), *tube.rings.end());
             let ring = |k: usize| if end == 0 { first + k } else { last - k };
             let margin_mm = -0.5 * tube.edge_mm;
-            // The share of a ring's radii that lies inside.
+            // The share of a ring's radii that lies inside: the least of its nodes' shares, so that only less is tried.
             let share = |k: usize| -> f64 {
-                let of_node = |j: usize| {
-                    let (origin, p) = (tube.axis.points_mm[ring(k)], tube.node_mm(ring(k), j));
-                    let is_inside = |share: f64| tubes[other].outside_mm(origin.lerp(p, share)) < margin_mm;
-                    (0..=SHARES)
-                        .rev()
-                        .map(|s| s as f64 / SHARES as f64)
-                        .find(|&s| is_inside(s))
-                        .unwrap_or(0.0)
-                };
-                (0..tube.nodes).map(of_node).fold(1.0, f64::min)
+                let origin = tube.axis.points_mm[ring(k)];
+                let inside = (0..tube.nodes).try_fold(SHARES, |most, j| {
+                    let p = tube.node_mm(ring(k), j);
+                    let place = |share: usize| origin.lerp(p, share as f64 / SHARES as f64);
+                    (1..=most).rev().find(|&share| tubes[other].outside_mm(place(share)) < margin_mm)
+                });
+                inside.unwrap_or(0) as f64 / SHARES as f64
             };
             let shares: Vec<f64> = (0..(last - first) / 2).into_par_iter().map(share).collect();
             let whole = shares.iter().rposition(|&share| share == 1.0);

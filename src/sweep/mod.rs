@@ -46,7 +46,7 @@ use prepare::grid::WallGrid;
 use report::{FittedWall, timed};
 use std::ops::ControlFlow;
 use wall::engine;
-use wall::fit::{Checkpoint, Wall};
+use wall::fit::{Aim, Checkpoint, Wall};
 
 /// The stages of a sweep: axis, place, fit, tracker, support.
 const STAGES: usize = 5;
@@ -97,8 +97,8 @@ impl Sweep {
         progress: &StageProgress,
         device: &WallDevice,
     ) -> Result<Self> {
-        Self::fitted(recording, outlines, settings, progress, |grid, echoes, checkpoint| {
-            engine::fit(grid, echoes, settings, device, checkpoint)
+        Self::fitted(recording, outlines, settings, progress, |grid, echoes, aim, checkpoint| {
+            engine::fit(grid, echoes, settings, aim, device, checkpoint)
         })
     }
 
@@ -111,8 +111,8 @@ impl Sweep {
         recording.check()?;
         let outlines = Outlines::of(&recording.frames);
         let quiet = |_: &'static str, _: usize, _: usize| ControlFlow::Continue(());
-        Self::fitted(recording, outlines, settings, &quiet, |grid, echoes, checkpoint| {
-            let wall = engine::fit_on_device(grid, echoes, settings, device, checkpoint)?;
+        Self::fitted(recording, outlines, settings, &quiet, |grid, echoes, aim, checkpoint| {
+            let wall = engine::fit_on_device(grid, echoes, aim, device, checkpoint)?;
             Ok((wall, device.describe()))
         })
     }
@@ -129,7 +129,8 @@ impl Sweep {
         let mut echoes = prepared.echoes(&prepared.sensors());
         Ok(move || {
             let mut seconds = 0.0;
-            let fit = || engine::fit_on_device(&prepared.grid, &mut echoes, settings, device, &|| Ok(()));
+            let aim = Aim::alone(settings.sweep.roughness);
+            let fit = || engine::fit_on_device(&prepared.grid, &mut echoes, aim, device, &|| Ok(()));
             timed(&mut seconds, fit)?;
             Ok(seconds)
         })
@@ -140,7 +141,7 @@ impl Sweep {
         outlines: Outlines,
         settings: &Settings,
         progress: &StageProgress,
-        fit: impl FnOnce(&WallGrid, &mut [Echo], &Checkpoint) -> Result<(Wall, EngineDescription)>,
+        fit: impl FnOnce(&WallGrid, &mut [Echo], Aim, &Checkpoint) -> Result<(Wall, EngineDescription)>,
     ) -> Result<Self> {
         settings.validate()?;
         recording.check()?;
@@ -153,7 +154,11 @@ impl Sweep {
         let mut echoes = timed(&mut seconds.place, || prepared.echoes(&sensors));
         let fitting = || progress("fitting the wall", 2);
         fitting()?;
-        let (mut wall, engine) = timed(&mut seconds.fit, || fit(&prepared.grid, &mut echoes, &fitting))?;
+        let aim = Aim {
+            roughness: settings.sweep.roughness,
+            is_continued: !settings.sweep.even_smoothness && errors::suffice(prepared.frames.len(), &echoes),
+        };
+        let (mut wall, engine) = timed(&mut seconds.fit, || fit(&prepared.grid, &mut echoes, aim, &fitting))?;
         let correcting = || progress("correcting the poses", 3);
         correcting()?;
         let tracker = timed(&mut seconds.tracker, || {

@@ -18,8 +18,9 @@ const MIN_PAIRS: usize = 20;
 const PAIR_RADII: f64 = 0.5;
 /// Points of a contour are compared with another where they lie at most so many radii off its plane.
 const PLANE_RADII: f64 = 0.75;
-/// Directions in which a contour's radius is known.
+/// Directions in which a contour's radius is known, and in how many of them it must be.
 const DIRECTIONS: usize = 32;
+const LEAST_KNOWN: usize = DIRECTIONS / 4;
 /// Another convention is named where neighbouring contours then differ by at most this share of what they do …
 const BETTER: f64 = 0.9;
 /// … and less in at least this share of the pairs.
@@ -157,21 +158,24 @@ impl Profile {
         }
         let radii_mm = radii.map(|mut radii| (!radii.is_empty()).then(|| median(&mut radii)));
         let known = radii_mm.iter().flatten().count();
-        (known >= DIRECTIONS / 4).then_some(Self { centre_mm, radii_mm })
+        (known >= LEAST_KNOWN).then_some(Self { centre_mm, radii_mm })
     }
 
     /// Median radius of a contour that has a profile, mm.
     fn radius_mm(frame: &Frame) -> Option<f64> {
         let centre_mm = frame.centroid_mm()?;
         let mut is_known = [false; DIRECTIONS];
+        let mut known = 0;
         let mut radii_mm = Vec::new();
         for p in frame.echoes_mm() {
             let from_centre = p - centre_mm;
-            is_known[direction(from_centre)] = true;
+            if known < LEAST_KNOWN {
+                let is_known = &mut is_known[direction(from_centre)];
+                known += usize::from(!std::mem::replace(is_known, true));
+            }
             radii_mm.push(from_centre.length());
         }
-        let known = is_known.iter().filter(|is| **is).count();
-        (known >= DIRECTIONS / 4).then(|| median(&mut radii_mm))
+        (known >= LEAST_KNOWN).then(|| median(&mut radii_mm))
     }
 
     fn difference_mm(&self, p: DVec2) -> Option<f64> {

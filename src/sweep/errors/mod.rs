@@ -205,6 +205,11 @@ pub(super) struct Frames<'a> {
     pub keeps_out_of_plane: bool,
 }
 
+/// Whether so many frames and these echoes suffice to estimate errors.
+pub(super) fn suffice(frames: usize, echoes: &[Echo]) -> bool {
+    frames >= MIN_FRAMES && echoes.len() >= MIN_ECHOES
+}
+
 /// Estimates the errors of a recording, fits the wall again with a smoothness that follows its roughness and without shifts of
 /// single frames, and replaces the standard errors of the nodes. `None`, and no change, where there are too few echoes for it, or
 /// they are perfect.
@@ -220,7 +225,7 @@ pub(super) fn estimate(
     let roughness = settings.roughness;
     let perfect = wall.noise_mm.is_nan() || wall.noise_mm <= 1e-9 * grid.radius_mm();
     let Frames { times_s, mut movable, keeps_out_of_plane } = frames;
-    if times_s.len() < MIN_FRAMES || echoes.len() < MIN_ECHOES || perfect {
+    if !suffice(times_s.len(), echoes) || perfect {
         return Ok(None);
     }
     let mut recording = Recorded::of(grid, times_s, echoes, &support.supported);
@@ -560,7 +565,7 @@ impl<'a> Recorded<'a> {
         let mut sums = vec![[0.0; 3]; self.times_s.len()];
         let mut counts = vec![0.0_f64; self.times_s.len()];
         for ((seen, residual), _) in self.seen.iter().zip(values_mm).zip(is_on_wall).filter(|(_, on)| **on) {
-            let [cos, sin] = seen.direction;
+            let [cos, sin] = seen.direction.map(f64::from);
             let frame = seen.frame as usize;
             sums[frame].iter_mut().zip([1.0, cos, sin]).for_each(|(sum, part)| *sum += part * residual);
             counts[frame] += 1.0;

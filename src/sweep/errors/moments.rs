@@ -30,8 +30,7 @@ impl Sectors {
     pub(super) fn of(echoes: &[Seen], is_on_wall: &[bool], frames: usize) -> Self {
         let off_wall = (frames * SECTORS) as u32;
         let cell = |(echo, is_on_wall): (&Seen, &bool)| {
-            let turns = (echo.theta_rad / TAU).rem_euclid(1.0);
-            let sector = (turns * SECTORS as f64) as usize % SECTORS;
+            let sector = (f64::from(echo.theta_rad) / TAU * SECTORS as f64) as usize % SECTORS;
             if *is_on_wall { echo.frame * SECTORS as u32 + sector as u32 } else { off_wall }
         };
         let cells: Vec<u32> = echoes.par_iter().zip(is_on_wall).map(cell).collect();
@@ -151,7 +150,7 @@ mod tests {
             expected[moment][0] += product;
             expected[moment][1] += pairs;
         };
-        let sector = |i: usize| ((seen[i].theta_rad / TAU).fract() * SECTORS as f64) as usize;
+        let sector = |i: usize| (f64::from(seen[i].theta_rad) / TAU * SECTORS as f64) as usize;
         let on_wall: Vec<usize> = (0..2400).filter(|&i| is_on_wall[i]).collect();
         for &i in &on_wall {
             add(0, residuals_mm[i] * residuals_mm[i], 1.0);

@@ -68,24 +68,27 @@ impl<'a> Signs<'a> {
     }
 }
 
-/// Where and when an echo was seen: its angle about the axis, with its cosine and sine, and its frame, counted among those
-/// with echoes.
+/// Where and when an echo was seen: its angle about the axis, from 0 to a turn, with its cosine and sine, and its frame, counted
+/// among those with echoes. In single precision: every draw passes over all of them, and waits for memory.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Seen {
-    pub theta_rad: f64,
-    pub direction: [f64; 2],
+    pub theta_rad: f32,
+    pub direction: [f32; 2],
     pub frame: u32,
 }
 
 impl Seen {
     pub(super) fn new(theta_rad: f64, frame: u32) -> Self {
+        let theta_rad = theta_rad.rem_euclid(TAU) as f32;
         let (sin, cos) = theta_rad.sin_cos();
         Self { theta_rad, direction: [cos, sin], frame }
     }
 }
 
-/// Echoes whose harmonics are computed side by side.
-const BLOCK: usize = 256;
+/// Angles about the lumen at which the errors of a contour are computed; between them they are interpolated. The first one comes
+/// last as well.
+const ANGLES: usize = 128;
+const ROW: usize = ANGLES + 1;
 
 /// Adds a draw of a process, times `sd_mm`, to the errors of the echoes. `times_s` are those of the frames. The bends of a
 /// wall are drawn elsewhere: they are no errors of echoes.
@@ -115,7 +118,8 @@ pub(super) fn add_draw(
                 #[inline(always)]
                 || {
                     for (error, echo) in errors_mm.iter_mut().zip(echoes) {
-                        let ([cos, sin], [a, b]) = (echo.direction, series[echo.frame as usize]);
+                        let ([cos, sin], [a, b]) =
+                            (echo.direction.map(f64::from), series[echo.frame as usize]);
                         *error += sd_mm * (cos * a + sin * b);
                     }
                 },
@@ -126,19 +130,19 @@ pub(super) fn add_draw(
             let amplitudes: Vec<f64> = (0..).map(amplitude).take_while(|a| *a > MIN_AMPLITUDE).collect();
             let scale = sd_mm / amplitudes.iter().map(|a| a * a).sum::<f64>().sqrt();
             let memories = memories(times_s, correlation_s);
-            let harmonics: Vec<Vec<[f64; 2]>> = amplitudes
-                .iter()
-                .map(|amplitude| {
-                    let mut series = pair(rng, &memories);
-                    series.as_flattened_mut().iter_mut().for_each(|x| *x *= scale * amplitude);
-                    series
-                })
-                .collect();
+            let mut series = vec![0.0; times_s.len() * ROW];
+            for (m, amplitude) in amplitudes.iter().enumerate() {
+                add_harmonic(m, &pair(rng, &memories), (scale * amplitude) as f32, &mut series);
+            }
             vectorized(
                 #[inline(always)]
                 || {
-                    for (errors_mm, echoes) in errors_mm.chunks_mut(BLOCK).zip(echoes.chunks(BLOCK)) {
-                        add_harmonics(&harmonics, echoes, errors_mm);
+                    for (error, echo) in errors_mm.iter_mut().zip(echoes) {
+                        let place = echo.theta_rad * (ANGLES as f32 / TAU as f32);
+                        let below = (place as usize).min(ANGLES - 1);
+                        let at = echo.frame as usize * ROW + below;
+                        let [a, b] = [series[at], series[at + 1]];
+                        *error += f64::from(a + (place - below as f32) * (b - a));
                     }
                 },
             );
@@ -151,7 +155,7 @@ pub(super) fn add_draw(
                 times_s.iter().map(at).collect::<Vec<f64>>()
             });
             for (error, echo) in errors_mm.iter_mut().zip(echoes) {
-                let [cos, sin] = if order == 0 { [1.0, 0.0] } else { echo.direction };
+                let [cos, sin] = if order == 0 { [1.0, 0.0] } else { echo.direction.map(f64::from) };
                 let frame = echo.frame as usize;
                 *error += sd_mm * (cos * series[0][frame] + sin * series[1][frame]);
             }
@@ -160,22 +164,23 @@ pub(super) fn add_draw(
     }
 }
 
-/// Adds the sums over m of `a cos mθ + b sin mθ` to the errors of at most [`BLOCK`] echoes; `harmonics` has a and b of each m,
-/// frame by frame.
-#[inline(always)]
-fn add_harmonics(harmonics: &[Vec<[f64; 2]>], echoes: &[Seen], errors_mm: &mut [f64]) {
-    // Of mθ, each turned by θ from the one before.
-    let (mut cos, mut sin) = ([1.0; BLOCK], [0.0; BLOCK]);
-    for of_frames in harmonics {
-        for (((error, echo), cos), sin) in errors_mm.iter_mut().zip(echoes).zip(&cos).zip(&sin) {
-            let [a, b] = of_frames[echo.frame as usize];
-            *error += cos * a + sin * b;
-        }
-        for ((cos, sin), echo) in cos.iter_mut().zip(&mut sin).zip(echoes) {
-            let [x, y] = echo.direction;
-            (*cos, *sin) = (*cos * x - *sin * y, *sin * x + *cos * y);
-        }
-    }
+/// Adds `size (a cos mθ + b sin mθ)` to the errors of contours at [`ROW`] angles; `series` has a and b, frame by frame.
+fn add_harmonic(m: usize, series: &[[f64; 2]], size: f32, errors_mm: &mut [f32]) {
+    let wave = |of: fn(f64) -> f64| -> [f32; ROW] {
+        std::array::from_fn(|k| of(TAU * (m * k % ANGLES) as f64 / ANGLES as f64) as f32)
+    };
+    let (cos, sin) = (wave(f64::cos), wave(f64::sin));
+    vectorized(
+        #[inline(always)]
+        || {
+            for (row, pair) in errors_mm.chunks_exact_mut(ROW).zip(series) {
+                let [a, b] = pair.map(|x| size * x as f32);
+                for ((error, cos), sin) in row.iter_mut().zip(&cos).zip(&sin) {
+                    *error += a * cos + b * sin;
+                }
+            }
+        },
+    );
 }
 
 /// Fewest periods of an oscillation in a recording, and how far its power exceeds the mean power at all frequencies: the
@@ -351,16 +356,15 @@ mod tests {
                 assert!((covariance(apart) - expected).abs() < 0.7, "{apart}: {}", covariance(apart));
             }
         }
-        // Harmonics that are turned on from each other are those of the angles.
-        let harmonics: Vec<Vec<[f64; 2]>> = (0..30).map(|m| vec![[1.0, f64::from(m)]; 400]).collect();
-        let mut errors_mm = vec![0.0; BLOCK];
-        add_harmonics(&harmonics, &seen[..BLOCK], &mut errors_mm);
-        for (error, echo) in errors_mm.iter().zip(&seen) {
-            let of = |m: i32| {
-                let angle = f64::from(m) * echo.theta_rad;
-                angle.cos() + f64::from(m) * angle.sin()
-            };
-            assert!((error - (0..30).map(of).sum::<f64>()).abs() < 1e-10);
+        // At the angles of the table they are the harmonics themselves.
+        let mut errors_mm = vec![0.0; 2 * ROW];
+        add_harmonic(5, &[[1.0, 0.5], [0.0, 2.0]], 2.0, &mut errors_mm);
+        for (frame, [a, b]) in [[1.0, 0.5], [0.0, 2.0]].into_iter().enumerate() {
+            for k in 0..ROW {
+                let angle = 5.0 * TAU * k as f64 / ANGLES as f64;
+                let expected = 2.0 * (a * angle.cos() + b * angle.sin());
+                assert!((f64::from(errors_mm[frame * ROW + k]) - expected).abs() < 1e-5, "{frame} {k}");
+            }
         }
     }
 

@@ -15,7 +15,7 @@ use super::prepare::contour::Outlines;
 use super::prepare::echo::{Echo, times_s};
 use super::support::Support;
 use super::wall::engine::{WallDevice, fit, refit};
-use super::wall::fit::{Checkpoint, Wall};
+use super::wall::fit::{Aim, Checkpoint, Wall};
 use crate::numerics::cholesky::{Matrix, cholesky, forward};
 use crate::numerics::robust::median;
 use crate::recording::{Frame, Recording};
@@ -222,8 +222,9 @@ impl Estimator<'_> {
             let recording = Recording { frames: self.moved(&found.rhythms, &[0.0; PARTS]) };
             let prepared = Prepared::of(&recording, Outlines::of(&recording.frames), &self.settings)?;
             let mut echoes = prepared.echoes(&prepared.sensors());
+            let (aim, device) = (Aim::alone(self.settings.sweep.roughness), WallDevice::default());
             let (mut wall, _) =
-                fit(&prepared.grid, &mut echoes, &self.settings, &WallDevice::default(), self.checkpoint)?;
+                fit(&prepared.grid, &mut echoes, &self.settings, aim, &device, self.checkpoint)?;
             // Where a wall is rougher than expected, its bends would be taken for motion.
             let support = Support::of(&prepared.grid, &echoes, &wall);
             errors::estimate(

@@ -1,6 +1,6 @@
 //! Noise of contours along the wall, and the bias that it causes.
 
-use crate::numerics::robust::{SD_PER_MAD, median};
+use crate::numerics::robust::{SD_PER_MAD, median_size};
 use crate::recording::echo_error::angle_jumps_mm;
 use glam::DVec2;
 use rayon::prelude::*;
@@ -9,10 +9,15 @@ use rayon::prelude::*;
 /// times its variance.
 pub(in crate::sweep) const TANGENTIAL_PER_JUMP: f64 = SD_PER_MAD / 2.449_489_742_783_178;
 
-/// Standard deviation of the contours' noise along the wall, mm.
+/// Points whose jumps tell the noise along the wall to half a percent.
+const ENOUGH_POINTS: usize = 100_000;
+
+/// Standard deviation of the contours' noise along the wall, mm; from evenly chosen ones, where there are more than enough.
 pub(in crate::sweep) fn tangential_noise_mm(contours_mm: &[&[DVec2]]) -> f64 {
-    let jumps = contours_mm.par_iter().flat_map_iter(|contour_mm| angle_jumps_mm(contour_mm));
-    TANGENTIAL_PER_JUMP * median(&mut jumps.collect::<Vec<_>>())
+    let points: usize = contours_mm.iter().map(|contour_mm| contour_mm.len()).sum();
+    let chosen = contours_mm.par_iter().step_by((points / ENOUGH_POINTS).max(1));
+    let jumps: Vec<f64> = chosen.flat_map_iter(|contour_mm| angle_jumps_mm(contour_mm)).collect();
+    TANGENTIAL_PER_JUMP * median_size(&jumps)
 }
 
 /// The most that [`tangential_noise_mm`] is believed: what it finds on a round wall of `radius_mm` where noise is as large in all
@@ -42,7 +47,7 @@ pub(crate) fn outward_bias_mm(radius_mm: f64, tangential_noise_mm: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::numerics::robust::huber_weight;
+    use crate::numerics::robust::{huber_weight, median};
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
     use std::f64::consts::TAU;

@@ -18,7 +18,7 @@ use crate::sweep::prepare::contour::Outlines;
 use crate::sweep::prepare::echo::Echo;
 use crate::sweep::prepare::grid::{Corners, WallGrid};
 use crate::sweep::wall::engine::{self, WallDevice};
-use crate::sweep::wall::fit::{Checkpoint, Wall};
+use crate::sweep::wall::fit::{Aim, Checkpoint, Wall};
 use crate::{Error, Result};
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
@@ -296,8 +296,8 @@ impl Calibrator<'_> {
     fn fitted(&self, prepared: &Prepared, settings: &Settings) -> Result<(Vec<Echo>, Wall)> {
         let mut echoes = prepared.echoes(&prepared.sensors());
         // Its settings ask for the CPU.
-        let device = WallDevice::default();
-        let (wall, _) = engine::fit(&prepared.grid, &mut echoes, settings, &device, self.checkpoint)?;
+        let (aim, device) = (Aim::alone(settings.sweep.roughness), WallDevice::default());
+        let (wall, _) = engine::fit(&prepared.grid, &mut echoes, settings, aim, &device, self.checkpoint)?;
         Ok((echoes, wall))
     }
 

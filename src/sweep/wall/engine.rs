@@ -1,7 +1,7 @@
 //! The choice of the engine that fits the wall.
 
 use super::cpu::CpuWallEngine;
-use super::fit::{self, Checkpoint, Wall, start_mm};
+use super::fit::{self, Aim, Checkpoint, Wall, start_mm};
 #[cfg(feature = "gpu")]
 use super::gpu::GpuWallEngine;
 use crate::engine::{EngineDescription, WORTH_A_DEVICE_S};
@@ -16,8 +16,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// processor; reweightings, and steps in each. They affect the choice of [`Backend::Auto`], but no result.
 const SECONDS_PER_ECHO: f64 = 200e-9;
 const SECONDS_PER_NODE: f64 = 80e-9;
-const USUAL_ITERATIONS: f64 = 8.0;
-const USUAL_STEPS: f64 = 8.0;
+const USUAL_ITERATIONS: f64 = 6.0;
+const USUAL_STEPS: f64 = 7.0;
 
 /// The device that walls are fitted on. The first wall that needs it starts it, and all others share it: those of the
 /// branches of a vessel, which are fitted side by side, and those of later recordings.
@@ -46,10 +46,10 @@ impl WallDevice {
         engine: &Arc<GpuWallEngine>,
         grid: &WallGrid,
         echoes: &mut [Echo],
-        settings: &Settings,
+        aim: Aim,
         checkpoint: &Checkpoint,
     ) -> Result<Wall> {
-        let fitted = fit_on_device(grid, echoes, settings, engine, checkpoint);
+        let fitted = fit_on_device(grid, echoes, aim, engine, checkpoint);
         if matches!(fitted, Err(Error::Gpu(_))) {
             let mut started = self.started.lock().unwrap_or_else(PoisonError::into_inner);
             // Another wall may have replaced it already.
@@ -64,11 +64,12 @@ pub(in crate::sweep) fn fit(
     grid: &WallGrid,
     echoes: &mut [Echo],
     settings: &Settings,
+    aim: Aim,
     #[cfg_attr(not(feature = "gpu"), expect(unused_variables))] device: &WallDevice,
     checkpoint: &Checkpoint,
 ) -> Result<(Wall, EngineDescription)> {
     let fit_on_cpu =
-        |grid: &WallGrid, echoes: &mut [Echo], why| fit_on_cpu(grid, echoes, settings, why, checkpoint);
+        |grid: &WallGrid, echoes: &mut [Echo], why| fit_on_cpu(grid, echoes, aim, why, checkpoint);
     let ages = settings.sweep.half_life_s.is_some();
     match settings.backend {
         Backend::Auto if ages => fit_on_cpu(grid, echoes, Some("devices weigh all echoes alike".into())),
@@ -99,7 +100,7 @@ pub(in crate::sweep) fn fit(
             #[cfg(feature = "gpu")]
             let why = match device.engine(start) {
                 Err(reason) => reason.to_string(),
-                Ok(engine) => match device.fit(&engine, grid, echoes, settings, checkpoint) {
+                Ok(engine) => match device.fit(&engine, grid, echoes, aim, checkpoint) {
                     Ok(wall) => {
                         let why = format!("fitting the wall takes about {cpu_seconds:.1} s on the CPU");
                         return Ok((wall, EngineDescription { why: Some(why), ..engine.describe() }));
@@ -115,7 +116,7 @@ pub(in crate::sweep) fn fit(
         #[cfg(feature = "gpu")]
         Backend::Gpu => {
             let engine = device.engine(|| GpuWallEngine::new(settings.adapter.as_deref()))?;
-            Ok((device.fit(&engine, grid, echoes, settings, checkpoint)?, engine.describe()))
+            Ok((device.fit(&engine, grid, echoes, aim, checkpoint)?, engine.describe()))
         }
         #[cfg(not(feature = "gpu"))]
         Backend::Gpu => Err(crate::settings::no_gpu_engine()),
@@ -132,19 +133,19 @@ pub(in crate::sweep) fn refit(
 ) -> Result<Wall> {
     let start_mm = start_mm(echoes);
     let engine = CpuWallEngine::new(grid, echoes, wall.clone());
-    fit::reweighted(engine, grid, start_mm, roughness, wall, checkpoint)
+    fit::reweighted(engine, grid, start_mm, Aim::alone(roughness), wall, checkpoint)
 }
 
 fn fit_on_cpu(
     grid: &WallGrid,
     echoes: &mut [Echo],
-    settings: &Settings,
+    aim: Aim,
     why: Option<String>,
     checkpoint: &Checkpoint,
 ) -> Result<(Wall, EngineDescription)> {
     let start_mm = start_mm(echoes);
     let engine = CpuWallEngine::new(grid, echoes, Wall::tube(grid, start_mm));
-    let wall = fit::fit(engine, grid, start_mm, settings.sweep.roughness, checkpoint)?;
+    let wall = fit::fit(engine, grid, start_mm, aim, checkpoint)?;
     Ok((wall, EngineDescription { name: "cpu".into(), adapter: None, why }))
 }
 
@@ -152,11 +153,11 @@ fn fit_on_cpu(
 pub(in crate::sweep) fn fit_on_device(
     grid: &WallGrid,
     echoes: &mut [Echo],
-    settings: &Settings,
+    aim: Aim,
     engine: &GpuWallEngine,
     checkpoint: &Checkpoint,
 ) -> Result<Wall> {
     let start_mm = start_mm(echoes);
     let engine = engine.wall(grid, echoes, start_mm)?;
-    fit::fit(engine, grid, start_mm, settings.sweep.roughness, checkpoint)
+    fit::fit(engine, grid, start_mm, aim, checkpoint)
 }

@@ -29,15 +29,20 @@ pub(in crate::sweep) struct Wall {
 }
 
 /// Iterations without projections and gate, until the wall has its shape.
-const WARM_UP_ITERATIONS: usize = 3;
+const WARM_UP_ITERATIONS: usize = 2;
 const MAX_ITERATIONS: usize = 15;
-/// The fit ends when the nodes under echoes move by at most this share of the noise on average, or …
+/// The fit ends when the nodes under echoes move by at most this share of the noise on average, or by this many radii.
 const ENOUGH_NOISE_SHARE: f64 = 0.01;
-/// … by this many radii.
 const ENOUGH_RADII: f64 = 1e-6;
-/// Share of the noise to which the equations are solved, and of the radius at least.
+/// Share of the noise to which the equations are solved, and of the radius at least; in the warm-up, whose walls are left soon, the
+/// former is `WARM_UP_NOISE_SHARE`.
 const SOLVED_NOISE_SHARE: f64 = 1e-4;
 const SOLVED_RADII: f64 = 1e-10;
+const WARM_UP_NOISE_SHARE: f64 = 1e-3;
+/// A fit that another one continues ends after so many iterations, unless the nodes still moved by more than this share, which is
+/// large against what is usually left: they are as many on a device, where rounding differs.
+const CONTINUED_ITERATIONS: usize = 4;
+const CONTINUED_ENOUGH: f64 = 0.05;
 
 /// Asked before every reweighting whether to go on: an error ends the fit.
 pub(in crate::sweep) type Checkpoint<'a> = dyn Fn() -> Result<()> + 'a;
@@ -109,16 +114,33 @@ impl Wall {
     }
 }
 
-/// Fits a wall. `roughness` is τ: λ = (noise/τ)².
+/// What a fit is to come to.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::sweep) struct Aim {
+    /// τ: λ = (noise/τ)².
+    pub roughness: f64,
+    /// Whether [`refit`](super::engine::refit) continues the fit of a wall whose noise exceeds the
+    /// [cells'](WallGrid::cell_noise_mm), so that this one may end sooner.
+    pub is_continued: bool,
+}
+
+impl Aim {
+    /// Of a fit that stands for itself.
+    pub(in crate::sweep) fn alone(roughness: f64) -> Self {
+        Self { roughness, is_continued: false }
+    }
+}
+
+/// Fits a wall.
 pub(super) fn fit(
     engine: impl WallEngine,
     grid: &WallGrid,
     start_mm: f64,
-    roughness: f64,
+    aim: Aim,
     checkpoint: &Checkpoint,
 ) -> Result<Wall> {
     let tube = Wall { radii_mm: Vec::new(), ..Wall::tube(grid, start_mm) };
-    reweighted(engine, grid, start_mm, roughness, tube, checkpoint)
+    reweighted(engine, grid, start_mm, aim, tube, checkpoint)
 }
 
 /// Continues the fit of `wall`; the first iterations of a new one are its warm-up.
@@ -126,32 +148,40 @@ pub(super) fn reweighted(
     mut engine: impl WallEngine,
     grid: &WallGrid,
     start_mm: f64,
-    roughness: f64,
+    aim: Aim,
     mut wall: Wall,
     checkpoint: &Checkpoint,
 ) -> Result<Wall> {
+    let Aim { roughness, is_continued } = aim;
     let first = wall.iterations;
     let is_warm_up = |iteration: usize| iteration < WARM_UP_ITERATIONS;
     let mut residual_mm = engine.measure(wall.noise_mm, !is_warm_up(first))?;
     for iteration in first..first + MAX_ITERATIONS {
         checkpoint()?;
         let warm_up = is_warm_up(iteration);
-        wall.noise_mm = grid.smoothed_noise_mm(SD_PER_MAD * residual_mm, roughness);
+        let noise_mm = SD_PER_MAD * residual_mm;
+        let is_continued = is_continued && noise_mm > grid.cell_noise_mm(roughness);
+        let (least, enough) = match is_continued {
+            true => (CONTINUED_ITERATIONS, CONTINUED_ENOUGH),
+            false => (0, ENOUGH_NOISE_SHARE),
+        };
+        let solved = if warm_up { WARM_UP_NOISE_SHARE } else { SOLVED_NOISE_SHARE };
+        wall.noise_mm = grid.smoothed_noise_mm(noise_mm, roughness);
         wall.smoothness_mm2 = (wall.noise_mm / roughness).powi(2);
         let solution = engine.solve(&Reweighting {
             noise_mm: wall.noise_mm,
             smoothness_mm2: wall.smoothness_mm2,
             warm_up,
-            tolerance: (SOLVED_NOISE_SHARE * wall.noise_mm / start_mm).max(SOLVED_RADII),
+            tolerance: (solved * wall.noise_mm / start_mm).max(SOLVED_RADII),
             project: !is_warm_up(iteration + 1),
         })?;
         residual_mm = solution.residual_mm;
         wall.solver_steps += solution.solved.steps;
         wall.iterations = iteration + 1;
-        let enough_mm = (ENOUGH_RADII * start_mm).max(ENOUGH_NOISE_SHARE * wall.noise_mm);
+        let enough_mm = (ENOUGH_RADII * start_mm).max(enough * wall.noise_mm);
         let settled = solution.travel_mm <= enough_mm;
         wall.converged = settled && solution.solved.converged;
-        if !warm_up && settled {
+        if !warm_up && settled && wall.iterations >= least {
             break;
         }
     }
