@@ -676,12 +676,14 @@ fn without_corners(middles: &mut [Option<(DVec3, f64)>]) {
     }
 }
 
-/// Places the points behind the last one that was seen as far apart as those before it and on their bend, but no closer one than a
-/// lumen has: of a short branch the bend is hardly known, and rounds would add to what it makes of the points.
+/// Places the points behind the last one that was seen on the parabola through those before it, but with no closer bend than a lumen
+/// has, and hardly longer steps: of a short branch the bend is hardly known, and every round adds to what the one before made of it.
 fn prolong(points: &mut [DVec3], seen: &[bool]) {
-    /// Points over which the bend is taken, and the most that it turns from one to the next, a quarter of a diameter on, rad.
+    /// Points over which the bend is taken, the most that it turns from one to the next, a quarter of a diameter on, rad, and the
+    /// longest step, in those before.
     const OVER: usize = 4;
     const MAX_TURN: f64 = 0.25;
+    const MAX_GROWTH: f64 = 1.1;
     let Some(last) = seen.iter().rposition(|&s| s).filter(|&last| last > OVER) else { return };
     let bend = |k: usize| points[k + 1] - points[k] * 2.0 + points[k - 1];
     let bend = (last - OVER..last).map(bend).sum::<DVec3>() / OVER as f64;
@@ -689,7 +691,7 @@ fn prolong(points: &mut [DVec3], seen: &[bool]) {
     let length_mm = step.length();
     let bend = bend.clamp_length_max(MAX_TURN * length_mm);
     for k in last + 1..points.len() {
-        step = (step + bend).normalize_or_zero() * length_mm;
+        step = (step + bend).clamp_length_max(MAX_GROWTH * length_mm);
         points[k] = points[k - 1] + step;
     }
 }

@@ -22,9 +22,10 @@ fn some_recording() -> Recording {
 }
 
 fn kinds(summary: &Summary) -> Vec<(&str, Vec<usize>)> {
-    let frames =
-        |examples: &[lumenmesh::recording::Example]| examples.iter().filter_map(|e| e.frame).collect();
-    summary.defects.iter().map(|d| (d.field, frames(&d.examples))).collect()
+    let frames = |example: &lumenmesh::recording::Example| {
+        example.frame.into_iter().flat_map(|first| (first..).take(example.frames)).collect::<Vec<_>>()
+    };
+    summary.defects.iter().map(|d| (d.field, d.examples.iter().flat_map(frames).collect())).collect()
 }
 
 #[test]
