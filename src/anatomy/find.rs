@@ -677,13 +677,13 @@ fn without_corners(middles: &mut [Option<(DVec3, f64)>]) {
 }
 
 /// Places the points behind the last one that was seen on the parabola through those before it, but with no closer bend than a lumen
-/// has, and hardly longer steps: of a short branch the bend is hardly known, and every round adds to what the one before made of it.
+/// has, and no much longer steps: of a short branch the bend is hardly known, and every round adds to what the one before made of it.
 fn prolong(points: &mut [DVec3], seen: &[bool]) {
     /// Points over which the bend is taken, the most that it turns from one to the next, a quarter of a diameter on, rad, and the
     /// longest step, in those before.
     const OVER: usize = 4;
     const MAX_TURN: f64 = 0.25;
-    const MAX_GROWTH: f64 = 1.1;
+    const MAX_GROWTH: f64 = 1.3;
     let Some(last) = seen.iter().rposition(|&s| s).filter(|&last| last > OVER) else { return };
     let bend = |k: usize| points[k + 1] - points[k] * 2.0 + points[k - 1];
     let bend = (last - OVER..last).map(bend).sum::<DVec3>() / OVER as f64;
