@@ -86,15 +86,16 @@ pub struct LeftOut {
 
 impl LeftOut {
     /// Runs of successive frames that are left out for the same reason.
-    pub(crate) fn runs(left_out: &[Self]) -> Vec<&[Self]> {
+    pub fn runs(left_out: &[Self]) -> Vec<&[Self]> {
         let are_alike =
             |a: &Self, b: &Self| a.frame + 1 == b.frame && a.reason == b.reason && a.field == b.field;
         left_out.chunk_by(are_alike).collect()
     }
 
-    /// The frames of such a run.
-    pub(crate) fn frames_of(run: &[Self]) -> String {
-        frames_named(run[0].frame, run[run.len() - 1].frame)
+    /// The frames of such a run, by name: `frame 4`, or `frames 4 to 6`; nothing of an empty one.
+    pub fn frames_of(run: &[Self]) -> String {
+        let ends = run.first().zip(run.last());
+        ends.map_or_else(String::new, |(first, last)| frames_named(first.frame, last.frame))
     }
 }
 
