@@ -676,8 +676,9 @@ fn without_corners(middles: &mut [Option<(DVec3, f64)>]) {
     }
 }
 
-/// Places the points behind the last one that was seen on the parabola through those before it, but with no closer bend than a lumen
-/// has, and no much longer steps: of a short branch the bend is hardly known, and every round adds to what the one before made of it.
+/// Places the points behind the last one that was seen on the parabola through those before it, but with no bend closer than a
+/// diameter, and not much longer steps: of a short branch the bend is hardly known, and every round adds to what the one before made
+/// of it.
 fn prolong(points: &mut [DVec3], seen: &[bool]) {
     /// Points over which the bend is taken, the most that it turns from one to the next, a quarter of a diameter on, rad, and the
     /// longest step, in those before.
@@ -701,5 +702,27 @@ fn no_tube(found: String) -> Error {
         what: "vessel".into(),
         found,
         expected: "a tube, or a tree of tubes, whose wall is closed around the lumen".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_behind_the_last_outline_do_not_run_away() {
+        let seen: Vec<bool> = (0..20).map(|k| k < 7).collect();
+        let prolonged = |bend_mm: f64| {
+            let place = |k: usize| DVec3::new(k as f64, 0.5 * bend_mm * (k * k) as f64, 0.0);
+            let mut points: Vec<DVec3> = (0..20).map(place).collect();
+            prolong(&mut points, &seen);
+            let off_mm = (7..20).map(|k| points[k].distance(place(k))).fold(0.0, f64::max);
+            let steps_mm = points.windows(2).map(|pair| pair[0].distance(pair[1]));
+            (off_mm, steps_mm.skip(6).fold(0.0, f64::max) / points[5].distance(points[6]))
+        };
+        // A parabola goes on, and one of a close bend goes on otherwise.
+        assert!(prolonged(0.03).0 < 1e-9);
+        let (off_mm, growth) = prolonged(0.5);
+        assert!(off_mm > 10.0 && growth < 1.31, "{off_mm} {growth}");
     }
 }
