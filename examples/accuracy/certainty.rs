@@ -7,9 +7,10 @@ use lumenmesh::output::write_atomically;
 use lumenmesh::reconstruction::{LumenReport, Reconstructor};
 use lumenmesh::report::plot::{Line, Mark, Room, lines};
 use lumenmesh::settings::Settings;
-use lumenmesh::simulate::Insertion;
+use lumenmesh::simulate::{FaultKind, Insertion};
 use lumenmesh::surface::Surface;
 use lumenmesh::sweep::{AlikeErrors, Beat, RecordingErrors};
+use rayon::prelude::*;
 use std::path::Path;
 
 const BEGIN: &str =
@@ -17,13 +18,16 @@ const BEGIN: &str =
 const END: &str = "<!-- standard errors: end -->\n";
 const PICTURE: &str = "docs/images/standard_errors.svg";
 
-/// The recordings: a name, the vessel, whether the catheter only advances, and the seed.
+/// The recordings: a name, the vessel, whether the catheter only advances, and the first seed.
 pub(super) const RECORDINGS: [(&str, &str, bool, u64); 4] = [
     ("arch", "arch", true, 7),
     ("iliac", "aorto_iliac_bifurcation_vmtk", true, 11),
     ("coarctation", "aorta_arch_coarctation_bpm120", true, 5),
     ("stenosis, tip turned", "stenosis", false, 3),
 ];
+/// Recordings of each vessel and kind, by their distance from the first seed. Errors of neighbouring nodes are alike, so that
+/// the nodes of a single one say little.
+pub(super) const SEEDS: [u64; 4] = [0, 100, 200, 300];
 /// Speed of a catheter that only advances, mm/s.
 const SPEED_MM_S: f64 = 2.4;
 
@@ -83,6 +87,11 @@ impl Certainty {
         Self(nodes.map(|node| (error_mm[node].abs(), standard[node])).collect())
     }
 
+    /// The nodes of several sweeps.
+    pub(super) fn pooled(all: Vec<Self>) -> Self {
+        Self(all.into_iter().flat_map(|one| one.0).collect())
+    }
+
     fn share(&self, is: impl Fn(&(f64, f64)) -> bool) -> f64 {
         self.0.iter().filter(|node| is(node)).count() as f64 / self.0.len().max(1) as f64
     }
@@ -118,6 +127,32 @@ pub(super) fn insertion(is_steady: bool) -> Insertion {
     }
 }
 
+/// A recording's sweep against the truth.
+struct Judged {
+    mean_mm: f64,
+    certainty: Certainty,
+    /// The errors that the report found.
+    found: String,
+}
+
+fn judged(kind: Option<FaultKind>, vessel: &str, is_steady: bool, seed: u64) -> Result<Judged> {
+    let simulation = kinds::simulated(kind, vessel, insertion(is_steady), seed)?;
+    let truth = Truth::new(simulation.vessel.surface().clone())?;
+    let lumen = Reconstructor::new(Settings::default()).run(&simulation.recording)?;
+    let surface = lumen.surface();
+    let evaluation = evaluate(&surface, &truth)?;
+    let errors = match lumen.report() {
+        LumenReport::Sweep(report) => report.errors.as_ref(),
+        LumenReport::Branches(report) => report.branches[0].sweep.errors.as_ref(),
+        LumenReport::Cylinders(_) | _ => None,
+    };
+    Ok(Judged {
+        mean_mm: evaluation.mesh_to_truth.mean_mm,
+        certainty: Certainty::of(&surface, &evaluation.error_mm),
+        found: errors.map(found).unwrap_or_default(),
+    })
+}
+
 /// Measures all kinds and writes table and picture, or prints those with `wanted` in their names.
 pub(super) fn run(wanted: Option<&str>) -> Result<()> {
     let mut table = String::from(
@@ -126,36 +161,22 @@ pub(super) fn run(wanted: Option<&str>) -> Result<()> {
     );
     let mut of_groups: [Vec<(f64, f64)>; GROUPS.len()] = Default::default();
     for (name, kind) in kinds::named(wanted) {
+        let mut of_kind = Vec::new();
         for (short, vessel, is_steady, seed) in RECORDINGS {
-            let simulation = kinds::simulated(kind, vessel, insertion(is_steady), seed)?;
-            let truth = Truth::new(simulation.vessel.surface().clone())?;
-            let lumen = match Reconstructor::new(Settings::default()).run(&simulation.recording) {
-                Ok(lumen) => lumen,
-                Err(error) => {
-                    println!("| {name} | {short} | refused: {error} |");
-                    continue;
-                }
-            };
-            let surface = lumen.surface();
-            let evaluation = evaluate(&surface, &truth)?;
-            let certainty = Certainty::of(&surface, &evaluation.error_mm);
-            let mean_mm = evaluation.mesh_to_truth.mean_mm;
-            let [far, shares, rank] = certainty.cells();
-            let found = match lumen.report() {
-                LumenReport::Sweep(report) => report.errors.as_ref().map(found),
-                LumenReport::Branches(report) => report.branches[0].sweep.errors.as_ref().map(found),
-                LumenReport::Cylinders(_) | _ => None,
-            };
-            let row = format!(
-                "| {name} | {short} | {mean_mm:.3} | {far} | {shares} | {:.2} | {rank} | {} |\n",
-                certainty.spread(),
-                found.unwrap_or_default()
-            );
-            print!("{row}");
-            table += &row;
-            if let Some(group) = GROUPS.iter().position(|(_, kinds)| kinds.contains(&name)) {
-                of_groups[group].extend(certainty.0);
-            }
+            let all: Vec<Judged> = SEEDS
+                .into_par_iter()
+                .map(|more| judged(kind, vessel, is_steady, seed + more))
+                .collect::<Result<_>>()?;
+            let means_mm: Vec<f64> = all.iter().map(|one| one.mean_mm).collect();
+            let means = summary(means_mm.iter().sum::<f64>() / all.len() as f64, &means_mm, 3);
+            let found = all[0].found.clone();
+            let certainty = Certainty::pooled(all.into_iter().map(|one| one.certainty).collect());
+            table += &row([name, short, &means, &found], &certainty);
+            of_kind.extend(certainty.0);
+        }
+        table += &row([name, "all", "", ""], &Certainty(of_kind.clone()));
+        if let Some(group) = GROUPS.iter().position(|(_, kinds)| kinds.contains(&name)) {
+            of_groups[group].extend(of_kind);
         }
     }
     if wanted.is_none() {
@@ -164,6 +185,22 @@ pub(super) fn run(wanted: Option<&str>) -> Result<()> {
         write_atomically(Path::new(PICTURE), |out| out.write_all(picture.as_bytes()))?;
     }
     Ok(())
+}
+
+/// A value, with the least and the greatest of the single recordings.
+pub(super) fn summary(value: f64, of_recordings: &[f64], decimals: usize) -> String {
+    let (least, greatest) =
+        of_recordings.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(*x), b.max(*x)));
+    format!("{value:.decimals$} ({least:.decimals$} to {greatest:.decimals$})")
+}
+
+/// A row of the table, which it prints as well.
+fn row([name, short, means, found]: [&str; 4], certainty: &Certainty) -> String {
+    let [far, shares, rank] = certainty.cells();
+    let spread = certainty.spread();
+    let row = format!("| {name} | {short} | {means} | {far} | {shares} | {spread:.2} | {rank} | {found} |\n");
+    print!("{row}");
+    row
 }
 
 /// The reliability diagram: the share of nodes within so many standard errors, beside that of a normal distribution.

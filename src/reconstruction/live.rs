@@ -69,12 +69,11 @@ impl Vessel {
         })
     }
 
-    /// Takes frames that are judged, after the last one also what a sweep has put off. What it took of bursts of wrong contours,
-    /// a sweep forgets.
+    /// Takes frames that are judged, after the last one also what a sweep has put off. A sweep forgets what is taken back.
     fn take(
         &mut self,
         frames: Vec<(usize, Option<Frame>)>,
-        bursts: Vec<LeftOut>,
+        taken_back: Vec<usize>,
         is_last: bool,
         change: &mut Change,
     ) -> Result<()> {
@@ -95,13 +94,16 @@ impl Vessel {
                 }
             }
         }
-        if let Self::Sweep(sweep) = self {
-            if !bursts.is_empty() {
-                change.add_step(sweep.forget(bursts.iter().map(|one| one.place))?);
-                change.left_out.extend(bursts);
-            }
-            if is_last {
-                change.add_step(sweep.flush()?);
+        match self {
+            // Cylinders that were fitted to them stay.
+            Self::Cylinders(_) => change.left_out.retain(|one| !taken_back.contains(&one.place)),
+            Self::Sweep(sweep) => {
+                if !taken_back.is_empty() {
+                    change.add_step(sweep.forget(taken_back.into_iter())?);
+                }
+                if is_last {
+                    change.add_step(sweep.flush()?);
+                }
             }
         }
         Ok(())
@@ -336,14 +338,14 @@ impl Live {
 
     /// Takes the frames that are judged, after the last one also what a sweep has put off; the screening began at `start`.
     fn take(&mut self, number: usize, judged: Judged, start: Instant, is_last: bool) -> Result<Change> {
-        let Judged { restart, frames, left_out, bursts } = judged;
+        let Judged { restart, frames, left_out, taken_back } = judged;
         let mut change = Change { frame: number, restarted: restart, left_out, ..Change::default() };
         change.times.screening_s = start.elapsed().as_secs_f64();
         if restart {
             self.vessel.reset();
         }
         // A frame has many short tasks, and each that a thread of the host's hands out costs two switches of threads.
-        rayon::scope(|_| self.vessel.take(frames, bursts, is_last, &mut change))?;
+        rayon::scope(|_| self.vessel.take(frames, taken_back, is_last, &mut change))?;
         if restart {
             change.before = 0;
             change.changed = std::iter::once(0..self.rings()).collect();

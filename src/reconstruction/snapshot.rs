@@ -13,7 +13,7 @@ use std::path::Path;
 /// What such a file begins with. The control characters are those that a transfer as text would change.
 const MAGIC: [u8; 16] = *b"lumenmesh live\r\n";
 /// Version of what follows. Another one is due with every change of what a live vessel consists of.
-const VERSION: u32 = 9;
+const VERSION: u32 = 10;
 /// Bytes before the content: the magic number, the version, the content's checksum and its length.
 const HEADER: usize = 32;
 /// The largest content, bytes.

@@ -40,6 +40,7 @@ use crate::recording::Recording;
 use crate::settings::{FrameShifts, Settings};
 use crate::surface::Surface;
 use crate::{Error, Result};
+use glam::DVec3;
 use prepare::Prepared;
 use prepare::echo::Echo;
 use prepare::grid::WallGrid;
@@ -171,7 +172,13 @@ impl Sweep {
             let times_s: Vec<Option<f64>> = prepared.frames.iter().map(|frame| frame.time_s).collect();
             // A model of all errors of the poses leaves no shifts of single frames to correct.
             let moves = settings.sweep.frame_shifts == FrameShifts::Auto && !settings.sweep.correct_poses;
-            let movable = moves.then_some((&prepared, &sensors[..]));
+            let moved = |moves_mm: &[DVec3]| {
+                let mut sensors = sensors.clone();
+                let poses = sensors.iter_mut().zip(moves_mm);
+                poses.for_each(|(pose, move_mm)| pose.translation_mm += *move_mm);
+                prepared.echoes(&sensors)
+            };
+            let movable = moves.then_some(errors::Movable { axis: &prepared.axis, moved: &moved });
             let keeps_out_of_plane = tracker.as_ref().is_some_and(|tracker| tracker.poses_corrected);
             let frames = errors::Frames { times_s: &times_s, movable, keeps_out_of_plane };
             let Prepared { grid, .. } = &prepared;

@@ -93,7 +93,7 @@ impl Support {
     pub(super) fn of(grid: &WallGrid, echoes: &[Echo], wall: &Wall) -> Self {
         let placed = echoes.par_iter().with_min_len(TASK).map(|echo| {
             let (ring, node) = echo.projection();
-            let squares_mm2 = f64::from(echo.weight) * echo.residual_mm * echo.residual_mm;
+            let squares_mm2 = f64::from(echo.weight) * echo.single_residual_mm().powi(2);
             (grid.corners(ring, node).nearest(), is_inlier(echo, wall.noise_mm), squares_mm2)
         });
         let placed: Vec<(usize, bool, f64)> = placed.collect();

@@ -166,30 +166,34 @@ fn a_live_sweep_comes_near_to_the_batch() {
     }
 }
 
-/// Rays that err by themselves, and trackers that shift whole frames, more than the thesis's in the second.
+/// Rays that err by themselves, and trackers that shift whole frames, more than the thesis's in the second vessel, of which the
+/// nodes of three recordings count: errors are alike over much of one that was passed once.
 #[test]
 fn live_standard_errors_hold() {
-    for (shape, insertion, position_sd_mm) in
-        [("stenosis", Insertion::default(), 0.3), ("arch", Insertion::steady(), 0.8)]
+    for (shape, insertion, position_sd_mm, seeds) in
+        [("stenosis", Insertion::default(), 0.3, 7..8), ("arch", Insertion::steady(), 0.8, 7..10)]
     {
-        let noise = simulate::Noise::default().with_seed(7).with_position_sd_mm(position_sd_mm);
-        let settings = simulate::SimulationSettings::default().with_insertion(insertion).with_noise(noise);
-        let simulation = vessel::simulated(shape, &settings);
-        let mut live = pushed(&simulation.recording.frames, &sweep());
-        let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
-        for is_last in [false, true] {
-            if is_last {
+        // Distances in standard errors, before the last fit and after it.
+        let mut of_nodes = [Vec::new(), Vec::new()];
+        for seed in seeds {
+            let noise = simulate::Noise::default().with_seed(seed).with_position_sd_mm(position_sd_mm);
+            let settings = simulate::SimulationSettings::default().with_insertion(insertion.clone());
+            let simulation = vessel::simulated(shape, &settings.with_noise(noise));
+            let mut live = pushed(&simulation.recording.frames, &sweep());
+            let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
+            for of_nodes in &mut of_nodes {
+                let surface = live.surface();
+                let error_mm = evaluate(&surface, &truth).unwrap().error_mm;
+                let standard_mm = surface.array("standard_error_mm").unwrap();
+                of_nodes.extend(error_mm.iter().zip(standard_mm).map(|(error, se)| error.abs() / se));
                 live.flush().unwrap();
             }
-            let surface = live.surface();
-            let error_mm = evaluate(&surface, &truth).unwrap().error_mm;
-            let standard_mm = surface.array("standard_error_mm").unwrap();
+        }
+        for of_nodes in of_nodes {
             let within = |times: f64| {
-                let is_within = |(error, standard): (&f64, &f64)| error.abs() <= times * standard;
-                error_mm.iter().zip(standard_mm).filter(|pair| is_within(*pair)).count() as f64
-                    / error_mm.len() as f64
+                of_nodes.iter().filter(|times_se| **times_se <= times).count() as f64 / of_nodes.len() as f64
             };
-            println!("{shape} {is_last}: {:.3} {:.3} {:.3}", within(0.5), within(1.0), within(2.0));
+            println!("{shape}: {:.3} {:.3} {:.3}", within(0.5), within(1.0), within(2.0));
             assert!(within(2.0) > 0.9, "{shape}: {}", within(2.0));
             // Those of a quarter of the size would not pass.
             assert!(within(0.5) < 0.7, "{shape}: {}", within(0.5));
@@ -277,7 +281,7 @@ fn a_vessel_that_was_ended_goes_on_where_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let (path, again) = (folder.path().join("live.state"), folder.path().join("again.state"));
     let mut frames = simulated("arch", to_and_fro(), 2).recording.frames;
-    frames.truncate(700);
+    frames.truncate(480);
     for frame in &mut frames[350..356] {
         // Off the path: these wait.
         frame.world_from_sensor.translation_mm.y += 80.0;
@@ -301,7 +305,7 @@ fn a_vessel_that_was_ended_goes_on_where_it_was() {
             }
             assert!(bytes(&live.surface()) == bytes(&whole.surface()), "from {end} on");
         }
-        let other = pushed(&frames[..600], &settings);
+        let other = pushed(&frames[..440], &settings);
         assert!(bytes(&other.surface()) != bytes(&whole.surface()), "the comparison sees differences");
         let batch = Reconstructor::new(settings).run(&Recording { frames: frames.clone() }).unwrap();
         assert!(bytes(&whole.finish().unwrap().surface()) == bytes(&batch.surface()));
@@ -330,7 +334,7 @@ fn a_file_that_is_no_whole_snapshot_is_told() {
         bytes[at] ^= 4;
         bytes
     };
-    says(&changed(16), "version: found 13, expected 9");
+    says(&changed(16), "version: found 14, expected 10");
     says(&changed(good.len() / 2), "content: found bytes that have changed");
     std::fs::write(&path, &good).unwrap();
     Live::restore(&path).unwrap();

@@ -470,6 +470,50 @@ fn repeated_images_and_poses_are_used_once() {
 }
 
 #[test]
+fn a_live_vessel_leaves_out_poses_that_come_again_as_the_batch_does() {
+    let simulation = simulation();
+    let truth = Truth::new(simulation.vessel.surface().clone()).unwrap();
+    let noisy = simulation.recording;
+    let count = noisy.frames.len();
+    let live = |recording: &Recording| {
+        let mut live = Live::new(&Settings::default()).unwrap();
+        let mut changes: Vec<Change> =
+            recording.frames.iter().map(|frame| live.push(frame).unwrap()).collect();
+        changes.push(live.flush().unwrap());
+        let left_out = changes.iter().flat_map(|change| &change.left_out).map(|one| one.frame);
+        let mut left_out: Vec<usize> = left_out.collect();
+        left_out.sort_unstable();
+        (left_out, live.surface())
+    };
+    assert!(live(&noisy).0.is_empty());
+    // A tracker that is slower than the probe: until enough poses have come, it looks like one that rests.
+    for times in [2, 3] {
+        let mut slow = noisy.clone();
+        for k in 0..count {
+            slow.frames[k].world_from_sensor = noisy.frames[k - k % times].world_from_sensor;
+        }
+        let (found, surface) = live(&slow);
+        let later = |frames: &[usize]| frames.iter().copied().filter(|k| *k > 30).collect::<Vec<_>>();
+        assert_eq!(later(&found), later(&left_out(&slow)), "{times} times");
+        assert!(later(&found).len() + 1 >= (count - 31) * (times - 1) / times, "{times} times");
+        let batch = Reconstructor::new(Settings::default()).run(&slow).unwrap().surface();
+        let [live_mm, batch_mm] =
+            [&surface, &batch].map(|surface| evaluate(surface, &truth).unwrap().mesh_to_truth.mean_mm);
+        assert!(live_mm < 1.15 * batch_mm, "{times} times: {live_mm} {batch_mm}");
+    }
+    // One that freezes tells with the third equal pose: the second is taken back then.
+    let mut frozen = noisy.clone();
+    for k in 100..112 {
+        frozen.frames[k].world_from_sensor = noisy.frames[100].world_from_sensor;
+    }
+    assert_eq!(live(&frozen).0, (101..112).collect::<Vec<_>>());
+    // Two equal poses alone may be chance.
+    let mut twice = noisy.clone();
+    twice.frames[101].world_from_sensor = noisy.frames[100].world_from_sensor;
+    assert!(live(&twice).0.is_empty());
+}
+
+#[test]
 fn conventions_that_fit_better_are_named_and_never_applied_unasked() {
     let recording = bent();
     let clean_mm =

@@ -8,9 +8,9 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 /// A source that is slower than the recorder repeats each value at most so many times …
-const MAX_SLOW_RUN: usize = 12;
+pub(super) const MAX_SLOW_RUN: usize = 12;
 /// … and that shows after this many values.
-const MIN_SLOW_RUNS: usize = 10;
+pub(super) const MIN_SLOW_RUNS: usize = 10;
 /// Poses of a noisy tracker that agree in all digits at least so often in a row are repeated.
 pub(super) const MIN_FROZEN: usize = 3;
 /// A frozen pose is followed by a step of at least this share of the way that the sensor usually makes in that time …

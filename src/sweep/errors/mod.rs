@@ -15,7 +15,7 @@ pub(super) mod process;
 mod shifts;
 pub(super) mod smoother;
 
-use super::prepare::Prepared;
+use super::prepare::axis::Axis;
 use super::prepare::echo::Echo;
 use super::prepare::grid::WallGrid;
 use super::support::{NodeErrors, Support};
@@ -24,14 +24,15 @@ use super::wall::engine::refit;
 use super::wall::fit::{Checkpoint, Wall};
 use super::wall::residual::is_inlier;
 use crate::Result;
-use crate::geometry::Pose;
 use crate::numerics::nonnegative::nonnegative_least_squares;
 use crate::numerics::robust::median;
 use crate::recording::FRAME_INTERVAL_S;
 use crate::recording::echo_error::{CONTOUR_OUT_OF_PLANE, OUT_OF_PLANE};
 use crate::settings::SweepSettings;
+use glam::DVec3;
 use moments::{Sectors, Sums};
-use process::{Process, Seen, add_draw, frequency_hz, random};
+use process::{Process, SLOWEST_BREATH_HZ, Seen, add_draw, frequency_hz, random};
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::Serialize;
 use shifts::{ShiftEstimator, Told};
@@ -110,8 +111,10 @@ const MAX_SDS: f64 = 3.0;
 /// Accuracy of the moments at best: a share of their own, and of the residuals' variance.
 const MOMENT_SHARE: f64 = 0.03;
 const VARIANCE_SHARE: f64 = 0.001;
-/// Further kinds are tried where the mean square misfit of the moments, in variances of theirs, exceeds this, …
-const POOR_FIT: f64 = 1.5;
+/// Further kinds are tried where the mean square misfit of the moments, in variances of theirs, exceeds `POOR_FIT` (a wall that
+/// is rougher in some places than in others leaves nearly as much by itself) and until it is below `GOOD_FIT`, …
+const POOR_FIT: f64 = 2.0;
+const GOOD_FIT: f64 = 1.5;
 /// … and kept where they lower the sum of squares by this share, and by this much.
 const MIN_GAIN_SHARE: f64 = 0.2;
 const MIN_GAIN: f64 = 8.0;
@@ -130,8 +133,9 @@ const MAX_RATIO: f64 = 64.0;
 const MIN_SUM: f64 = 0.04;
 /// Largest squared roughness of a ring that smoothing follows: at the mouths of branches echoes of these make it seem rough.
 const MAX_RING: f64 = 9.0;
-/// Largest design effect that smoothing makes up for: the variance of a wall whose echoes err alike, in units of that where
-/// they err independently. Errors that are alike over more than the reach of an echo are not smoothed away by any means.
+/// Largest design effect that smoothing makes up for: how much more variance more smoothing takes off a wall whose echoes err
+/// alike than off one where they err independently. Errors that are alike over more than the reach of an echo are not smoothed
+/// away, and do not count.
 const MAX_DESIGN_EFFECT: f64 = 4.0;
 /// Largest share of the variance across the image planes: directions of echoes that have more of it there are hardly told apart.
 const MAX_OUT_OF_PLANE: f64 = 0.5;
@@ -155,7 +159,7 @@ struct Estimate {
     of_sums: Vec<f64>,
 }
 
-/// Residuals of the echoes, mm, and whether each lies on the wall.
+/// Residuals of the echoes, mm, and whether each is a single one on the wall.
 #[derive(Clone, Copy)]
 struct Residuals<'a> {
     values_mm: &'a [f64],
@@ -168,8 +172,8 @@ struct Residuals<'a> {
 struct Roughness {
     /// About each node.
     of_nodes: Vec<f64>,
-    /// Mean squares of the wall's errors at the nodes, mm².
-    errors: Vec<f64>,
+    /// What more smoothing would take off the variances of the nodes, mm².
+    smoothable: Vec<f64>,
     /// As the sums of rings show it.
     sums: Vec<f64>,
 }
@@ -198,11 +202,19 @@ impl Bends {
 pub(super) struct Frames<'a> {
     /// When they were taken, s.
     pub times_s: &'a [Option<f64>],
-    /// The recording, and the poses of the sensor that its echoes are placed with; `None` where frames must stay where they are.
-    pub movable: Option<(&'a Prepared<'a>, &'a [Pose])>,
+    /// `None` where frames must stay where they are.
+    pub movable: Option<Movable<'a>>,
     /// Whether the share of the variance across the images stays that of the wall: where the poses were corrected, in the
     /// search for motion, and live.
     pub keeps_out_of_plane: bool,
+}
+
+/// Frames whose shifts may be taken off their poses.
+#[derive(Clone, Copy)]
+pub(super) struct Movable<'a> {
+    pub axis: &'a Axis,
+    /// The echoes where each frame is moved by so much, mm.
+    pub moved: &'a dyn Fn(&[DVec3]) -> Vec<Echo>,
 }
 
 /// Whether so many frames and these echoes suffice to estimate errors.
@@ -244,25 +256,25 @@ pub(super) fn estimate(
     let mut linear = linearised(grid, echoes, wall);
     let mut told = None;
     let mut corrected = None;
-    if let Some((prepared, sensors)) = movable
+    if let Some(Movable { axis, moved }) = movable
         && let Some(found) = recording.told_shifts(&estimate, echoes, wall)
     {
-        let estimator = ShiftEstimator::of(&found, &recording, &prepared.axis, echoes, wall, &linear.0);
+        let estimator = ShiftEstimator::of(&found, &recording, axis, echoes, wall, &linear.0);
         let smoother = Smoother::of(grid, &linear, wall.smoothness_mm2, roughness)?;
         if found.pays(&estimator, &recording, &smoother)? {
             let shifts_mm = estimator.shifts_mm(&clamped_residuals_mm(echoes, wall));
-            let mut sensors = sensors.to_vec();
+            let mut moves_mm = vec![DVec3::ZERO; times_s.len()];
             for (&frame, shift_mm) in recording.frames.iter().zip(&shifts_mm) {
-                sensors[frame].translation_mm -= *shift_mm;
+                moves_mm[frame] = -*shift_mm;
             }
-            *echoes = prepared.echoes(&sensors);
+            *echoes = moved(&moves_mm);
             // Across the images there is still what moves the frames along the vessel.
             wall.out_of_plane = OUT_OF_PLANE;
             wall.residual_model(grid).project_all(echoes);
             *wall = refit(grid, echoes, roughness, wall.clone(), checkpoint)?;
             recording = Recorded::of(grid, times_s, echoes, &support.supported);
             linear = linearised(grid, echoes, wall);
-            told = Some(ShiftEstimator::of(&found, &recording, &prepared.axis, echoes, wall, &linear.0));
+            told = Some(ShiftEstimator::of(&found, &recording, axis, echoes, wall, &linear.0));
             let squares: f64 = shifts_mm.iter().map(|shift_mm| shift_mm.length_squared()).sum();
             // Two axes lie across the vessel.
             let rms_mm = (squares / (2 * shifts_mm.len()) as f64).sqrt();
@@ -302,6 +314,9 @@ struct Recorded<'a> {
     /// When they were taken, s.
     times_s: Vec<f64>,
     seen: Vec<Seen>,
+    /// Of each echo, the errors that single echoes have for themselves: less than 1 where one stands for several, whose mean it
+    /// is. Empty where none does.
+    own_errors: Vec<f64>,
     supported: &'a [bool],
 }
 
@@ -317,7 +332,22 @@ impl<'a> Recorded<'a> {
             times_s.push(of_frames_s[k].unwrap_or(next_s));
         }
         let seen = |echo: &Echo| Seen::new(echo.theta_rad(grid.nodes), numbers[echo.frame as usize]);
-        Self { grid, frames, times_s, seen: echoes.par_iter().map(seen).collect(), supported }
+        let own_errors = match echoes.iter().any(|echo| echo.weight > 1.0) {
+            true => echoes.iter().map(|echo| f64::from(echo.weight.max(1.0)).sqrt().recip()).collect(),
+            false => Vec::new(),
+        };
+        Self { grid, frames, times_s, seen: echoes.par_iter().map(seen).collect(), own_errors, supported }
+    }
+
+    /// Adds a draw of a process, times `sd_mm`, to the errors of the echoes.
+    fn add_draw(&self, process: Process, sd_mm: f64, rng: &mut ChaCha8Rng, errors_mm: &mut [f64]) {
+        if self.own_errors.is_empty() || !process.is_white() {
+            return add_draw(process, sd_mm, rng, &self.seen, &self.times_s, errors_mm);
+        }
+        let mut of_single_mm = vec![0.0; errors_mm.len()];
+        add_draw(process, sd_mm, rng, &self.seen, &self.times_s, &mut of_single_mm);
+        let draws = of_single_mm.iter().zip(&self.own_errors);
+        errors_mm.iter_mut().zip(draws).for_each(|(error, (drawn, share))| *error += drawn * share);
     }
 
     /// Median over the rings with supported nodes of the time between the first and the last echo within a distance, s.
@@ -366,7 +396,9 @@ impl<'a> Recorded<'a> {
         let linearised = linearised(self.grid, echoes, wall);
         let smoother = Smoother::of(self.grid, &linearised, wall.smoothness_mm2, roughness)?;
         let residuals_mm = clamped_residuals_mm(echoes, wall);
-        let is_on_wall: Vec<bool> = echoes.iter().map(|echo| is_inlier(echo, wall.noise_mm)).collect();
+        // One that stands for several has other moments.
+        let counts = |echo: &Echo| echo.weight <= 1.0 && is_inlier(echo, wall.noise_mm);
+        let is_on_wall: Vec<bool> = echoes.iter().map(counts).collect();
         let sectors = Sectors::of(&self.seen, &is_on_wall, self.times_s.len());
         let (found_mm, bends) = rayon::join(
             || smoother.wall(residuals_mm.iter().copied()),
@@ -379,13 +411,9 @@ impl<'a> Recorded<'a> {
         let seen_for_s = self.seen_for_s(echoes, reach_mm);
         let residuals = Residuals { values_mm: &residuals_mm, is_on_wall: &is_on_wall, seen_for_s };
         let descriptions = self.descriptions(&smoother, &sectors, residuals, &bends, &roughness_for)?;
-        let Roughness { of_nodes, errors, sums } = roughness_for(&descriptions)?;
+        let Roughness { of_nodes, smoothable, sums } = roughness_for(&descriptions)?;
 
-        // Echoes of the standard deviation σ that err independently give the wall the variance (σℓ)²/16λ.
-        let independent = (wall.noise_mm * reach_mm).powi(2) / (16.0 * wall.smoothness_mm2);
-        let of_supported = errors.iter().zip(self.supported).filter(|(_, s)| **s).map(|(e, _)| *e);
-        let (sum, count) = of_supported.fold((0.0, 0.0), |(sum, count), e| (sum + e, count + 1.0));
-        let design_effect = (sum / count / independent).clamp(1.0, MAX_DESIGN_EFFECT);
+        let design_effect = self.design_effect(&smoothable, reach_mm, wall).clamp(1.0, MAX_DESIGN_EFFECT);
         // Geometric means: one rough place of a ring should not leave the noise of all others in.
         let logarithms: Vec<f64> = of_nodes.iter().map(|ratio| ratio.ln()).collect();
         let of_ring =
@@ -393,6 +421,18 @@ impl<'a> Recorded<'a> {
         let of_rings =
             self.averaged_rings(&logarithms, RING_REACHES * reach_mm).iter().map(of_ring).collect();
         Ok(Estimate { descriptions, of_nodes, of_rings, of_sums: sums })
+    }
+
+    /// How much more variance more smoothing takes off the wall than off one whose echoes err independently.
+    ///
+    /// The fit S passes a wave of wave number k on with s = 1/(1 + (ℓk)⁴), and ds/d ln λ = -s(1 - s): with λ, the variance of a
+    /// wall with the errors e falls by 2 Se·S(1 - S)e. Echoes of the standard deviation σ that err independently give it the
+    /// variance (σℓ)²/16λ, a quarter of which is Se·S(1 - S)e.
+    fn design_effect(&self, smoothable: &[f64], reach_mm: f64, wall: &Wall) -> f64 {
+        let independent = (wall.noise_mm * reach_mm).powi(2) / (64.0 * wall.smoothness_mm2);
+        let of_supported = smoothable.iter().zip(self.supported).filter(|(_, s)| **s).map(|(e, _)| *e);
+        let (sum, count) = of_supported.fold((0.0, 0.0), |(sum, count), e| (sum + e, count + 1.0));
+        sum / count / independent
     }
 
     /// The roughness of the wall where the residuals are, smoothed, `found_mm`, and errors are described so.
@@ -413,7 +453,11 @@ impl<'a> Recorded<'a> {
                 Ok([wall_mm, of_residuals_mm])
             })
             .collect::<Result<_>>()?;
-        let [errors, noise] = [0, 1].map(|i| mean_squares(fields.iter().map(|field| &field[i])));
+        let noise = mean_squares(fields.iter().map(|[_, of_residuals_mm]| of_residuals_mm));
+        let products = |[wall_mm, of_residuals_mm]: &[Vec<f64>; 2]| {
+            wall_mm.iter().zip(of_residuals_mm).map(|(a, b)| a * b).collect()
+        };
+        let smoothable = mean(fields.iter().map(products));
         let bent = mean_squares(bends.iter().map(|bends| &bends.found_mm));
         let found: Vec<f64> = found_mm.iter().map(|x| x * x).collect();
         let [found, noise, bent] = self.averaged([&found, &noise, &bent], NODE_REACHES * reach_mm);
@@ -429,7 +473,7 @@ impl<'a> Recorded<'a> {
         let [found, noise, bent] =
             [self.squared_sums(found_mm), noise_sums, bent_sums].map(|sums| smoothed_along(&weights, &sums));
         let sums = (0..self.grid.rings).map(|k| ratio(MIN_SUM, found[k], noise[k], bent[k])).collect();
-        Ok(Roughness { of_nodes, errors, sums })
+        Ok(Roughness { of_nodes, smoothable, sums })
     }
 
     /// Of each ring: the square of the sum over its supported nodes.
@@ -482,7 +526,7 @@ impl<'a> Recorded<'a> {
                         (process, _) => {
                             let mut errors_mm = vec![0.0; self.seen.len()];
                             let rng = &mut random(draw, first + kind);
-                            add_draw(process, 1.0, rng, &self.seen, &self.times_s, &mut errors_mm);
+                            self.add_draw(process, 1.0, rng, &mut errors_mm);
                             let wall_mm = smoother.wall(errors_mm.iter().copied())?;
                             sectors.sums(smoother.residuals(&errors_mm, &wall_mm))
                         }
@@ -508,9 +552,9 @@ impl<'a> Recorded<'a> {
             let (levels, _) = explain(of_kinds, chosen);
             chosen.iter().map(|&k| kinds[k]).zip(levels).filter(|(_, level)| *level > 0.0).collect()
         };
-        let is_poor = |misfit: f64| misfit > POOR_FIT * target.len() as f64;
+        let exceeds = |misfit: f64, mean_square: f64| misfit > mean_square * target.len() as f64;
         let (_, mut misfit) = explain(&of_kinds, &chosen);
-        if is_poor(misfit) {
+        if exceeds(misfit, POOR_FIT) {
             // A wall that is rougher in places leaves other moments than one that is equally rough everywhere.
             let Roughness { of_nodes, .. } = roughness(&[levels(&kinds, &of_kinds, &chosen)])?;
             let of_supported =
@@ -525,12 +569,12 @@ impl<'a> Recorded<'a> {
                 (of_kinds, misfit) = (with_uneven, uneven_misfit);
             }
         }
-        if is_poor(misfit) {
+        if exceeds(misfit, POOR_FIT) {
             let mut others = self.other_kinds();
             others.extend(self.beats(residuals));
             of_kinds.extend(columns(&others, OTHER_DRAWS, base, None)?);
             kinds.extend(others);
-            loop {
+            while exceeds(misfit, GOOD_FIT) {
                 let with = |k: usize| {
                     let more: Vec<usize> = chosen.iter().copied().chain([k]).collect();
                     (explain(&of_kinds, &more).1, k)
@@ -556,11 +600,12 @@ impl<'a> Recorded<'a> {
         Ok(alternatives.iter().map(|chosen| levels(&kinds, &of_kinds, chosen)).collect())
     }
 
-    /// Oscillations of the lumen's size and of the frames' places, as far as the residuals show any. One whose period is longer
-    /// than a place of the wall was seen is none: waves of the wall, which the catheter passes, look the same.
+    /// Oscillations of the lumen's size and of the frames' places, as far as the residuals show any. One that is slower than a
+    /// breath, or whose period is longer than a place of the wall was seen, is none: waves of the wall, which the catheter
+    /// passes, look the same.
     fn beats(&self, residuals: Residuals) -> Vec<Process> {
         let Residuals { values_mm, is_on_wall, seen_for_s } = residuals;
-        let least_hz = seen_for_s.recip();
+        let least_hz = seen_for_s.recip().max(SLOWEST_BREATH_HZ);
         // Means over each frame of the residuals, times 1, cos θ and sin θ.
         let mut sums = vec![[0.0; 3]; self.times_s.len()];
         let mut counts = vec![0.0_f64; self.times_s.len()];
@@ -586,7 +631,7 @@ impl<'a> Recorded<'a> {
         let mut errors_mm = vec![0.0; self.seen.len()];
         for (stream, (process, variance_mm2)) in levels.iter().enumerate() {
             let rng = &mut random(100 + draw, stream);
-            add_draw(*process, variance_mm2.sqrt(), rng, &self.seen, &self.times_s, &mut errors_mm);
+            self.add_draw(*process, variance_mm2.sqrt(), rng, &mut errors_mm);
         }
         errors_mm
     }
@@ -822,6 +867,69 @@ impl RecordingErrors {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::f64::consts::TAU;
+
+    #[test]
+    fn what_lasts_longer_than_the_wall_is_seen_calls_for_no_more_smoothing() {
+        // 200 frames of 48 rays, a quarter of a millimetre apart, along a tube of 8 mm radius.
+        let axis = Axis::along(&[DVec3::ZERO, DVec3::Z * 25.0, DVec3::Z * 50.0], 1.0, 5.0);
+        let (rings, nodes) = (axis.rings(), 48);
+        let grid = WallGrid { rings, nodes, step_mm: axis.step_mm, arc_mm: TAU * 8.0 / nodes as f64 };
+        let echo = |i: u32| {
+            let (sin, cos) = (TAU * f64::from(i % 48) / 48.0).sin_cos();
+            let point_mm = DVec3::new(8.0 * cos, 8.0 * sin, 0.25 * f64::from(i / 48));
+            Echo::new(&axis.place(point_mm, 0).unwrap(), DVec3::Z, i / 48, nodes)
+        };
+        let echoes: Vec<Echo> = (0..9600).map(echo).collect();
+        let wall = Wall { noise_mm: 1.0, smoothness_mm2: 64.0, ..Wall::tube(&grid, 8.0) };
+        let linear = linearised(&grid, &echoes, &wall);
+        let smoother = Smoother::of(&grid, &linear, wall.smoothness_mm2, 0.125).unwrap();
+        let supported: Vec<bool> = (0..grid.node_count()).map(|n| (5..55).contains(&(n / nodes))).collect();
+        let times_s: Vec<Option<f64>> = (0..200).map(|k| Some(0.1 * f64::from(k))).collect();
+        let recording = Recorded::of(&grid, &times_s, &echoes, &supported);
+        let reach_mm = recording.reach_mm(&echoes, &wall);
+        let bends = Bends::drawn(&smoother, 1).unwrap();
+        let found_mm = vec![0.0; grid.node_count()];
+        let design_effect = |levels: Levels| {
+            let roughness = recording.roughness(&smoother, &found_mm, &bends, reach_mm, &[levels]).unwrap();
+            recording.design_effect(&roughness.smoothable, reach_mm, &wall)
+        };
+        let (ray, shift) = ((Process::Ray, 1.0), |correlation_s| (Process::Shift { correlation_s }, 1.0));
+        let of_rays = design_effect(vec![ray]);
+        assert!((of_rays - 1.0).abs() < 0.2, "{of_rays}");
+        // 24 echoes err alike along an axis, but for the two directions that a shift may have.
+        let of_frames = design_effect(vec![ray, shift(0.0)]);
+        assert!(of_frames > 3.0, "{of_frames}");
+        let lasting = design_effect(vec![ray, (Process::Beat { order: 0, frequency_hz: 1e-9 }, 1.0)]);
+        assert!((lasting - of_rays).abs() < 0.3, "{lasting} {of_rays}");
+    }
+
+    #[test]
+    fn an_echo_that_stands_for_several_has_their_mean_error() {
+        let grid = WallGrid { rings: 4, nodes: 16, step_mm: 1.0, arc_mm: 1.0 };
+        let recording = Recorded {
+            grid: &grid,
+            frames: vec![0],
+            times_s: vec![0.0],
+            seen: vec![Seen::new(1.0, 0); 2],
+            own_errors: vec![1.0, 0.5],
+            supported: &[],
+        };
+        let drawn = |process| {
+            let mut errors_mm = [1.0; 2];
+            recording.add_draw(process, 2.0, &mut random(0, 0), &mut errors_mm);
+            errors_mm.map(|error| error - 1.0)
+        };
+        assert_eq!(drawn(Process::Ray).map(f64::abs), [2.0, 1.0]);
+        for (correlation_s, share) in [(0.0, 0.5), (3.0, 1.0)] {
+            for process in
+                [Process::Shift { correlation_s }, Process::Contour { width_rad: 0.5, correlation_s }]
+            {
+                let [single, mean] = drawn(process);
+                assert!(single != 0.0 && (mean - share * single).abs() < 1e-12, "{process:?}");
+            }
+        }
+    }
 
     #[test]
     fn shifts_lie_in_all_directions_and_other_errors_in_the_image_plane() {

@@ -25,6 +25,17 @@ pub(super) enum Process {
     Wall,
 }
 
+impl Process {
+    /// Whether successive frames have nothing of it in common.
+    pub(super) fn is_white(self) -> bool {
+        match self {
+            Self::Ray => true,
+            Self::Shift { correlation_s } | Self::Contour { correlation_s, .. } => correlation_s == 0.0,
+            Self::Beat { .. } | Self::Wall => false,
+        }
+    }
+}
+
 /// Seed of all draws, so that equal recordings have equal standard errors.
 const SEED: u64 = 0x1d3a_5e01;
 /// Harmonics of a contour's errors are left out where they have less than this amplitude.
@@ -183,6 +194,8 @@ fn add_harmonic(m: usize, series: &[[f64; 2]], size: f32, errors_mm: &mut [f32])
     );
 }
 
+/// The slowest breath, Hz: what is slower can also be a drift of the tracker, or a bend of the vessel.
+pub(in crate::sweep) const SLOWEST_BREATH_HZ: f64 = 0.1;
 /// Fewest periods of an oscillation in a recording, and how far its power exceeds the mean power at all frequencies: the
 /// largest of a thousand powers of noise is about seven times the mean.
 const MIN_PERIODS: f64 = 4.0;

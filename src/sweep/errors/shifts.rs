@@ -69,7 +69,10 @@ impl ShiftEstimator {
             let normal = directions * measured.normal;
             // Shifts along the vessel show at narrow places only, and frames would slide to where the wall is smoothest.
             let across = normal - directions.z_axis * normal.dot(directions.z_axis);
-            (seen.frame, term.weight(), across * measured.weight.sqrt())
+            // One that stands for several is in no frame alone.
+            let is_single = echo.weight <= 1.0;
+            let effect = if is_single { across * measured.weight.sqrt() } else { DVec3::ZERO };
+            (seen.frame, term.weight(), effect)
         };
         let of_echoes: Vec<_> = echoes.par_iter().zip(seen).zip(terms).map(of_echo).collect();
         let of_frame = |range: &[usize]| order[range[0]..range[1]].iter().map(|&i| i as usize);

@@ -319,6 +319,18 @@ impl EchoBand {
         self.cells.iter().flatten().map(move |sample| (of_grid(sample), sample.is_merged))
     }
 
+    /// Its samples where each frame is moved by so much, mm; those that represent several echoes stay.
+    pub fn moved<'a>(&'a self, moves_mm: &'a [DVec3], axis: &'a Axis) -> impl Iterator<Item = Echo> + 'a {
+        let nodes = self.cells.len();
+        let placed = move |sample: &Sample| {
+            let move_mm = if sample.is_merged { DVec3::ZERO } else { moves_mm[sample.echo.frame as usize] };
+            let place = axis.place(sample.point_mm + move_mm, self.ring)?;
+            let echo = Echo::new(&place, sample.image_normal, sample.echo.frame, nodes);
+            Some(Echo { weight: sample.weight as f32, ..echo })
+        };
+        self.cells.iter().flatten().filter_map(placed)
+    }
+
     /// Whether there are too few echoes yet to determine a wall.
     fn is_warming_up(&self) -> bool {
         self.count < self.cells.len()

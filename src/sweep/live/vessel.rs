@@ -8,7 +8,7 @@ use crate::geometry::{Pose, rotation_minimising_frames, transported};
 use crate::numerics::robust::{SD_PER_MAD, median};
 use crate::recording::Frame;
 use crate::recording::echo_error::OUT_OF_PLANE;
-use crate::settings::{Settings, SweepSettings};
+use crate::settings::{FrameShifts, Settings, SweepSettings};
 use crate::sweep::errors;
 use crate::sweep::prepare::axis::Axis;
 use crate::sweep::prepare::contour::Outline;
@@ -477,7 +477,15 @@ impl GrowingVessel {
         };
         let mut wall = refit(&self.grid, &mut echoes, self.roughness, wall, go_on)?;
         let mut support = Support::of(&self.grid, &echoes, &wall);
-        let frames = errors::Frames { times_s, movable: None, keeps_out_of_plane: true };
+        let moved = |moves_mm: &[DVec3]| {
+            let samples = self.bands.iter().flat_map(|band| band.moved(moves_mm, &self.axis));
+            let mut echoes: Vec<Echo> = samples.collect();
+            echoes.sort_by(|a, b| a.ring.total_cmp(&b.ring));
+            echoes
+        };
+        let moves = settings.frame_shifts == FrameShifts::Auto;
+        let movable = moves.then_some(errors::Movable { axis: &self.axis, moved: &moved });
+        let frames = errors::Frames { times_s, movable, keeps_out_of_plane: true };
         let found = errors::estimate(&self.grid, frames, settings, &mut echoes, &mut wall, &support, go_on)?;
         if let Some((errors, of_nodes)) = found {
             self.shift_mm = errors.shift_mm();

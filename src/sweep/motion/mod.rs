@@ -9,7 +9,7 @@ mod equations;
 
 pub use cycle::Cycle;
 
-use super::errors::{self, process::Spectrum};
+use super::errors::{self, process::SLOWEST_BREATH_HZ, process::Spectrum};
 use super::prepare::Prepared;
 use super::prepare::contour::Outlines;
 use super::prepare::echo::{Echo, times_s};
@@ -77,8 +77,6 @@ impl StateError {
 
 /// Fewest frames of a recording in which motion is looked for.
 const MIN_FRAMES: usize = 48;
-/// The slowest breath, Hz: what is slower can also be a drift of the tracker, or a bend of the vessel.
-const MIN_FREQUENCY_HZ: f64 = 0.1;
 /// A frequency stands out where noise, whose powers have the median of so many to either side, exceeds its power with less than
 /// this probability, as a logarithm: there are some thousand frequencies.
 const ABOUT: usize = 24;
@@ -404,7 +402,7 @@ impl Fitted<'_> {
         };
         let excess = |k: usize| {
             let frequency_hz = (first + k) as f64 * step_hz;
-            if frequency_hz < MIN_FREQUENCY_HZ || is_known(frequency_hz) {
+            if frequency_hz < SLOWEST_BREATH_HZ || is_known(frequency_hz) {
                 return None;
             }
             let about = k.saturating_sub(ABOUT)..(k + ABOUT + 1).min(powers.len());

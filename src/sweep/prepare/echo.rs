@@ -29,7 +29,7 @@ pub(in crate::sweep) struct Echo {
     pub stretch: f32,
     /// From the echo to its projection onto the wall, in rings and nodes.
     pub shift: [f32; 2],
-    /// Weight: 1, or less for an old echo.
+    /// Weight: 1, less for an old echo, and the number of echoes where it stands for several, whose mean it is.
     pub weight: f32,
     pub frame: u32,
 }
@@ -47,6 +47,11 @@ impl Echo {
             shift: [0.0; 2],
             residual_mm: 0.0,
         }
+    }
+
+    /// The residual, mm, and where it is that of a mean of several echoes, as large as one of them usually has.
+    pub(in crate::sweep) fn single_residual_mm(&self) -> f64 {
+        self.residual_mm * f64::from(self.weight.max(1.0).sqrt())
     }
 
     /// Angle about the axis, rad.

@@ -63,7 +63,11 @@ impl WallEngine for CpuWallEngine<'_> {
         tasks.for_each(|(task, residuals_mm)| {
             vectorized(
                 #[inline(always)]
-                || model.measure_each(task, project, |i, echo, _, _| residuals_mm[i] = echo.residual_mm),
+                || {
+                    model.measure_each(task, project, |i, echo, _, _| {
+                        residuals_mm[i] = echo.single_residual_mm()
+                    })
+                },
             );
         });
         Ok(median_size(&residuals_mm))

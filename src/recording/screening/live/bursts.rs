@@ -96,7 +96,8 @@ impl LiveBursts {
         let mut wrong: Vec<usize> = Vec::new();
         for burst in bursts.iter().filter(|burst| burst.frames.end <= settled) {
             let number = |i: usize| sequence.seen[i].number;
-            judged.bursts.extend(burst.frames.clone().map(|i| burst.why(number(i), large)));
+            judged.left_out.extend(burst.frames.clone().map(|i| burst.why(number(i), large)));
+            judged.taken_back.extend(burst.frames.clone().map(number));
             wrong.extend(burst.frames.clone());
         }
         let mut place = 0..;

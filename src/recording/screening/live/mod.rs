@@ -60,8 +60,8 @@ pub(crate) struct Judged {
     pub frames: Vec<(usize, Option<Frame>)>,
     /// Frames that are found unfit now.
     pub left_out: Vec<LeftOut>,
-    /// Frames that were handed over, now or before, and turn out to be a burst of wrong contours.
-    pub bursts: Vec<LeftOut>,
+    /// Those of them that were handed over, now or before: bursts of wrong contours, and poses that had frozen.
+    pub taken_back: Vec<usize>,
 }
 
 impl LiveScreening {

@@ -41,9 +41,37 @@ pub(super) struct LivePath {
     positions_mm: VecDeque<DVec3>,
     /// Contours that do not contain the probe.
     outside: usize,
-    /// The frame before, and how many frames in a row had its pose.
+    /// The frame before.
     before: Option<(usize, Frame)>,
-    same_pose: usize,
+    poses: Poses,
+}
+
+/// How often poses come in a row.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+struct Poses {
+    /// How often the newest one came.
+    run: usize,
+    /// The most that one came.
+    longest: usize,
+    /// Poses that came, and those that came more than once.
+    values: usize,
+    repeated: usize,
+}
+
+impl Poses {
+    fn add(&mut self, is_same: bool) {
+        self.run = if is_same { self.run + 1 } else { 1 };
+        self.longest = self.longest.max(self.run);
+        self.values += usize::from(self.run == 1);
+        self.repeated += usize::from(self.run == 2);
+    }
+
+    /// Whether the tracker is slower than the recorder: most poses before the newest one came more than once, none of them often.
+    fn is_slow(&self) -> bool {
+        let repeated = self.repeated - usize::from(self.run > 1);
+        let values = self.values - 1;
+        values >= repeats::MIN_SLOW_RUNS && 2 * repeated > values && self.longest <= repeats::MAX_SLOW_RUN
+    }
 }
 
 /// Frames that wait, without a jump in between.
@@ -74,7 +102,10 @@ impl LivePath {
             && self.frames == frames
             && self.waiting() <= MAX_WAITING
             && self.accepted <= self.frames
-            && self.same_pose <= self.frames
+            && self.poses.values <= self.frames
+            && self.poses.repeated <= self.poses.values
+            && self.poses.run <= self.poses.longest
+            && self.poses.longest <= self.frames
             && self.outside <= self.frames
     }
 
@@ -86,7 +117,7 @@ impl LivePath {
     /// Takes the next frame, its contour cleaned.
     pub fn push(&mut self, number: usize, frame: &Frame, judged: &mut Judged) {
         self.frames += 1;
-        match self.alone(number, frame) {
+        match self.alone(number, frame, judged) {
             Some(left_out) => {
                 judged.left_out.push(left_out);
                 // Numbers stay in order: behind frames that wait, its turn comes with theirs.
@@ -130,8 +161,8 @@ impl LivePath {
         }
     }
 
-    /// Why a frame is left out, as far as it and the frame before tell.
-    fn alone(&mut self, number: usize, frame: &Frame) -> Option<LeftOut> {
+    /// Why a frame is left out, as far as it and those before tell.
+    fn alone(&mut self, number: usize, frame: &Frame, judged: &mut Judged) -> Option<LeftOut> {
         if let Some(defect) = frame.defects().into_iter().next() {
             return Some(LeftOut {
                 place: number,
@@ -143,25 +174,33 @@ impl LivePath {
             });
         }
         let before = self.before.replace((number, frame.clone()));
+        let is_same =
+            |before: &Frame| repeats::same_pose(&before.world_from_sensor, &frame.world_from_sensor);
+        self.poses.add(before.as_ref().is_some_and(|(_, before)| is_same(before)));
         if let Some((before_number, before)) = before {
-            let repeated = |field, expected: &str| LeftOut {
+            let repeated = |number: usize, field, expected: &str| LeftOut {
                 place: number,
                 frame: number,
                 reason: Reason::Repeated,
                 field,
-                found: format!("the same as in frame {before_number}"),
+                found: format!("the same as in frame {}", number - 1),
                 expected: expected.into(),
             };
-            let same_pose = repeats::same_pose(&before.world_from_sensor, &frame.world_from_sensor);
-            self.same_pose = if same_pose { self.same_pose + 1 } else { 0 };
             if repeats::same_contour(&before.contour_mm, &frame.contour_mm)
                 && repeats::has_contour_noise(&[frame])
             {
-                return Some(repeated("contour", "a new image"));
+                return Some(repeated(number, "contour", "a new image"));
             }
-            let is_lost = is_lost_value(&frame.world_from_sensor);
-            if self.same_pose + 1 >= repeats::MIN_FROZEN && !is_lost && self.has_tracker_noise() {
-                return Some(repeated("pose", "a new measurement"));
+            let is_frozen = self.poses.run >= repeats::MIN_FROZEN
+                && !is_lost_value(&frame.world_from_sensor)
+                && self.has_tracker_noise();
+            if is_frozen || self.poses.run > 1 && self.poses.is_slow() {
+                let of_pose = |number| repeated(number, "pose", "a new measurement");
+                if self.poses.run == repeats::MIN_FROZEN && before_number + 1 == number {
+                    // Its second frame did not tell yet.
+                    self.take_back(of_pose(before_number), judged);
+                }
+                return Some(of_pose(number));
             }
         }
         if let Some(by_mm) = probe::outside_by_mm(frame) {
@@ -171,6 +210,20 @@ impl LivePath {
             }
         }
         None
+    }
+
+    /// Leaves out a frame that was taken for good.
+    fn take_back(&mut self, left_out: LeftOut, judged: &mut Judged) {
+        let number = left_out.place;
+        let waiting = self.runs.iter_mut().flat_map(|run| &mut run.frames).find(|(k, _)| *k == number);
+        if let Some((_, frame)) = waiting {
+            *frame = Frame::new(frame.world_from_sensor, Vec::new());
+        } else if let Some((_, frame)) = self.ready.iter_mut().find(|(k, _)| *k == number) {
+            *frame = None;
+        } else {
+            judged.taken_back.push(number);
+        }
+        judged.left_out.push(left_out);
     }
 
     fn has_tracker_noise(&self) -> bool {
