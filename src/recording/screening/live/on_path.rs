@@ -41,15 +41,17 @@ pub(super) struct LivePath {
     positions_mm: VecDeque<DVec3>,
     /// Contours that do not contain the probe.
     outside: usize,
-    /// The frame before.
+    /// The frame before, and whether it is used.
     before: Option<(usize, Frame)>,
+    is_before_used: bool,
     poses: Poses,
 }
 
 /// How often poses come in a row.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 struct Poses {
-    /// How often the newest one came.
+    /// The first frame with the newest one, and how often that came.
+    first: usize,
     run: usize,
     /// The most that one came.
     longest: usize,
@@ -59,8 +61,8 @@ struct Poses {
 }
 
 impl Poses {
-    fn add(&mut self, is_same: bool) {
-        self.run = if is_same { self.run + 1 } else { 1 };
+    fn add(&mut self, number: usize, is_same: bool) {
+        (self.first, self.run) = if is_same { (self.first, self.run + 1) } else { (number, 1) };
         self.longest = self.longest.max(self.run);
         self.values += usize::from(self.run == 1);
         self.repeated += usize::from(self.run == 2);
@@ -68,8 +70,8 @@ impl Poses {
 
     /// Whether the tracker is slower than the recorder: most poses before the newest one came more than once, none of them often.
     fn is_slow(&self) -> bool {
-        let repeated = self.repeated - usize::from(self.run > 1);
-        let values = self.values - 1;
+        let repeated = self.repeated.saturating_sub(usize::from(self.run > 1));
+        let values = self.values.saturating_sub(1);
         values >= repeats::MIN_SLOW_RUNS && 2 * repeated > values && self.longest <= repeats::MAX_SLOW_RUN
     }
 }
@@ -102,6 +104,7 @@ impl LivePath {
             && self.frames == frames
             && self.waiting() <= MAX_WAITING
             && self.accepted <= self.frames
+            && self.poses.first <= self.frames
             && self.poses.values <= self.frames
             && self.poses.repeated <= self.poses.values
             && self.poses.run <= self.poses.longest
@@ -117,7 +120,9 @@ impl LivePath {
     /// Takes the next frame, its contour cleaned.
     pub fn push(&mut self, number: usize, frame: &Frame, judged: &mut Judged) {
         self.frames += 1;
-        match self.alone(number, frame, judged) {
+        let left_out = self.alone(number, frame, judged);
+        self.is_before_used = left_out.is_none();
+        match left_out {
             Some(left_out) => {
                 judged.left_out.push(left_out);
                 // Numbers stay in order: behind frames that wait, its turn comes with theirs.
@@ -176,27 +181,28 @@ impl LivePath {
         let before = self.before.replace((number, frame.clone()));
         let is_same =
             |before: &Frame| repeats::same_pose(&before.world_from_sensor, &frame.world_from_sensor);
-        self.poses.add(before.as_ref().is_some_and(|(_, before)| is_same(before)));
+        self.poses.add(number, before.as_ref().is_some_and(|(_, before)| is_same(before)));
         if let Some((before_number, before)) = before {
-            let repeated = |number: usize, field, expected: &str| LeftOut {
+            let repeated = |number: usize, first: usize, field, expected: &str| LeftOut {
                 place: number,
                 frame: number,
                 reason: Reason::Repeated,
                 field,
-                found: format!("the same as in frame {}", number - 1),
+                found: format!("the same as in frame {first}"),
                 expected: expected.into(),
             };
             if repeats::same_contour(&before.contour_mm, &frame.contour_mm)
                 && repeats::has_contour_noise(&[frame])
             {
-                return Some(repeated(number, "contour", "a new image"));
+                return Some(repeated(number, before_number, "contour", "a new image"));
             }
             let is_frozen = self.poses.run >= repeats::MIN_FROZEN
                 && !is_lost_value(&frame.world_from_sensor)
                 && self.has_tracker_noise();
             if is_frozen || self.poses.run > 1 && self.poses.is_slow() {
-                let of_pose = |number| repeated(number, "pose", "a new measurement");
-                if self.poses.run == repeats::MIN_FROZEN && before_number + 1 == number {
+                let first = self.poses.first;
+                let of_pose = |number| repeated(number, first, "pose", "a new measurement");
+                if self.poses.run == repeats::MIN_FROZEN && self.is_before_used {
                     // Its second frame did not tell yet.
                     self.take_back(of_pose(before_number), judged);
                 }
