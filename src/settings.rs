@@ -276,8 +276,8 @@ pub struct SweepSettings {
     /// Whether a small error of every pose is estimated together with the wall and removed. It tells how
     /// noisy the tracker is; the wall gains where smoothing is even, and hardly otherwise. It takes several times as long.
     pub correct_poses: bool,
-    /// What becomes of the shifts of single frames. Where `correct_poses` or `even_smoothness` is set, in a vessel that branches,
-    /// and live, frames stay where they are.
+    /// What becomes of the shifts of single frames. Where `correct_poses` or `even_smoothness` is set, and in a vessel that
+    /// branches, frames stay where they are. A live sweep takes shifts off in its last fit, in each wall by itself.
     pub frame_shifts: FrameShifts,
     /// Whether smoothing is the same along the whole vessel, rather than following its roughness and the noise that
     /// neighbouring echoes share.

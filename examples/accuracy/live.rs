@@ -1,7 +1,7 @@
 //! The live sweep beside that of the whole recording, over all kinds of errors.
 
 use super::certainty::{Certainty, RECORDINGS, SEEDS, insertion, summary};
-use super::{COVERED_MM, echoes_mm, kinds, measured, replace_table};
+use super::{COVERED_MM, covered, echoes_mm, kinds, replace_table};
 use glam::DVec3;
 use lumenmesh::Result;
 use lumenmesh::evaluate::{Locator, Truth, evaluate};
@@ -92,7 +92,7 @@ fn judged(surface: &Surface, other: &Surface, truth: &Truth, wall_mm: &[DVec3]) 
         shared.fold((0.0, 0.0), |(sum, count), (error_mm, _)| (sum + error_mm.abs(), count + 1.0));
     Ok(Judged {
         mean_mm: sum_mm / count,
-        covered: measured(surface, truth, wall_mm)?.covered,
+        covered: covered(surface, wall_mm)?,
         certainty: Certainty::of(surface, &evaluation.error_mm),
     })
 }

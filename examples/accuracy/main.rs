@@ -270,9 +270,13 @@ fn echoes_mm(recording: &Recording) -> Vec<DVec3> {
 
 fn measured(surface: &Surface, truth: &Truth, wall_mm: &[DVec3]) -> Result<Measured> {
     let distances = evaluate(surface, truth)?.mesh_to_truth;
+    Ok(Measured { distances, covered: covered(surface, wall_mm)? })
+}
+
+/// Share of the wall points that are covered by a surface.
+fn covered(surface: &Surface, wall_mm: &[DVec3]) -> Result<f64> {
     let closest = Locator::new(surface)?.closest_all(wall_mm);
-    let covered = closest.iter().filter(|c| c.distance_mm < COVERED_MM).count() as f64 / wall_mm.len() as f64;
-    Ok(Measured { distances, covered })
+    Ok(closest.iter().filter(|c| c.distance_mm < COVERED_MM).count() as f64 / wall_mm.len() as f64)
 }
 
 impl Measured {

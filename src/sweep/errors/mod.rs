@@ -134,7 +134,7 @@ const MIN_SUM: f64 = 0.04;
 /// Largest squared roughness of a ring that smoothing follows: at the mouths of branches echoes of these make it seem rough.
 const MAX_RING: f64 = 9.0;
 /// Largest design effect that smoothing makes up for: how much more variance more smoothing takes off a wall whose echoes err
-/// alike than off one where they err independently. Errors that are alike over more than the reach of an echo are not smoothed
+/// alike than off one where they err independently. Waves of the errors that are longer than the reach of an echo are not smoothed
 /// away, and do not count.
 const MAX_DESIGN_EFFECT: f64 = 4.0;
 /// Largest share of the variance across the image planes: directions of echoes that have more of it there are hardly told apart.
@@ -870,7 +870,7 @@ mod tests {
     use std::f64::consts::TAU;
 
     #[test]
-    fn what_lasts_longer_than_the_wall_is_seen_calls_for_no_more_smoothing() {
+    fn errors_that_smoothing_does_not_take_away_call_for_no_more_of_it() {
         // 200 frames of 48 rays, a quarter of a millimetre apart, along a tube of 8 mm radius.
         let axis = Axis::along(&[DVec3::ZERO, DVec3::Z * 25.0, DVec3::Z * 50.0], 1.0, 5.0);
         let (rings, nodes) = (axis.rings(), 48);
@@ -900,6 +900,7 @@ mod tests {
         // 24 echoes err alike along an axis, but for the two directions that a shift may have.
         let of_frames = design_effect(vec![ray, shift(0.0)]);
         assert!(of_frames > 3.0, "{of_frames}");
+        // Every ring is too wide or too narrow by as much.
         let lasting = design_effect(vec![ray, (Process::Beat { order: 0, frequency_hz: 1e-9 }, 1.0)]);
         assert!((lasting - of_rays).abs() < 0.3, "{lasting} {of_rays}");
     }
